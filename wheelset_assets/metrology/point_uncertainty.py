@@ -1,0 +1,86 @@
+"""What the calibration's uncertainty does to points: its covariance propagated to a grid over the working volume.
+
+All points of a scan share this part: it does not average away. The noise part is `triangulation.point_covariance`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelset_assets.metrology.adjustment import DISTORTION_NAMES
+from wheelset_assets.metrology.rigid import rotation_from_vector, vector_from_rotation
+from wheelset_assets.metrology.triangulation import Camera, StereoSensor, distort, intersect_rays, undistort
+
+Array = NDArray[Any]
+
+
+def calibration_covariance(
+    sensor: StereoSensor, parameter_names: tuple[str, ...], covariance: Array, points_mm: Array
+) -> Array:
+    """Covariance (n, 3, 3) in mm^2 of points (n, 3) in the sensor frame, from that of the calibration's parameters.
+
+    First order: the points' pixels are held fast and triangulated with every parameter moved by its standard
+    uncertainty to either side.
+    """
+    pixels = _pixels(sensor, points_mm)
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    slopes = np.zeros((len(parameter_names), *points_mm.shape))
+    for k, name in enumerate(parameter_names):
+        if u[k] > 0:
+            ends = [_points(moved(sensor, {name: sign * u[k]}), pixels) for sign in (1.0, -1.0)]
+            slopes[k] = (ends[0] - ends[1]) / (2 * u[k])
+    return np.einsum("kni,kl,lnj->nij", slopes, covariance, slopes)
+
+
+def working_grid(
+    sensor: StereoSensor, image_size: tuple[int, int], depth_range_mm: tuple[float, float], shape: tuple[int, int, int]
+) -> Array:
+    """Points (n, 3) in mm over the left image (columns, rows) and the depths that boards covered, seen by both cameras
+    or not."""
+    columns, rows, depths = shape
+    u = np.linspace(0, image_size[0] - 1, columns)
+    v = np.linspace(0, image_size[1] - 1, rows)
+    uu, vv = (g.ravel() for g in np.meshgrid(u, v))
+    x, y = undistort(sensor.left, uu, vv)
+    z = np.linspace(*depth_range_mm, depths)
+    return np.concatenate([np.column_stack([x * d, y * d, np.full_like(x, d)]) for d in z])
+
+
+def moved(sensor: StereoSensor, steps: dict[str, float]) -> StereoSensor:
+    """The sensor with parameters, by the names of an adjustment, moved by steps (px, 1, rad, mm)."""
+    matrices = {"left": sensor.left.matrix.copy(), "right": sensor.right.matrix.copy()}
+    lenses = {"left": sensor.left.distortion.copy(), "right": sensor.right.distortion.copy()}
+    vector, translation = vector_from_rotation(sensor.rotation), sensor.translation_mm.copy()
+    entries = {"f": ((0, 0), (1, 1)), "fx": ((0, 0),), "fy": ((1, 1),), "cx": ((0, 2),), "cy": ((1, 2),)}
+    for name, step in steps.items():
+        side, _, key = name.partition("_")
+        if side not in matrices:
+            (translation if name[0] == "t" else vector)["xyz".index(name[1])] += step
+        elif key in entries:
+            for place in entries[key]:
+                matrices[side][place] += step
+        else:
+            lenses[side][DISTORTION_NAMES.index(key)] += step
+    return StereoSensor(
+        Camera(matrices["left"], lenses["left"]),
+        Camera(matrices["right"], lenses["right"]),
+        rotation_from_vector(vector),
+        translation,
+    )
+
+
+def _pixels(sensor: StereoSensor, points: Array) -> list[Array]:
+    right = points @ sensor.rotation.T + sensor.translation_mm
+    return [
+        value
+        for camera, p in ((sensor.left, points), (sensor.right, right))
+        for value in distort(camera, p[:, 0] / p[:, 2], p[:, 1] / p[:, 2])
+    ]
+
+
+def _points(sensor: StereoSensor, pixels: list[Array]) -> Array:
+    left, right = undistort(sensor.left, *pixels[:2]), undistort(sensor.right, *pixels[2:])
+    return intersect_rays(sensor, *left, *right)

@@ -1,0 +1,255 @@
+"""Surfaces of revolution about the rig's X axis: meridian coordinates, mean meridians, harmonics of the turn.
+
+A stripe sensor sees one meridian while the wheelset turns; every frame repeats it. What is said here about lateral,
+radial and tangential directions holds for wheels and journals alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelset_assets.metrology import rigid
+from wheelset_assets.metrology.grids import nan_mean, nan_median
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MeridianGrid:
+    """One sensor and laser line as meridian coordinates (frames, rows): along the axle, and distance from it, in mm."""
+
+    sensor_id: str
+    line: int
+    lateral_mm: Array
+    radial_mm: Array
+    direction_deg: float
+    """Mean direction of the points about the axle, from +Y towards +Z."""
+    u_mm: Array
+    """Standard uncertainty of each point along its line of sight."""
+
+
+def to_meridian(
+    sensor_id: str, line: int, x: Array, y: Array, z: Array, u_mm: Array, rig_from_sensor: Array
+) -> MeridianGrid:
+    """Meridian coordinates of sensor-frame grids (frames, rows) in mm.
+
+    Paper eq. 28 in its exact form: the radius is the distance from the axle, so a sideways offset of the laser plane is
+    not mistaken for height (rho = K + z holds only where the plane contains the axle).
+    """
+    m = rig_from_sensor
+    lateral = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+    across = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+    up = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+    seen = np.isfinite(across)
+    direction = float(np.degrees(np.arctan2(up[seen].sum(), across[seen].sum()))) if seen.any() else float("nan")
+    return MeridianGrid(sensor_id, line, lateral, np.hypot(across, up), direction, u_mm)
+
+
+def meridian_motion(
+    direction_deg: float, pivot_mm: tuple[float, float], rotation_rad: float, lateral_mm: float, radial_mm: float
+) -> Array:
+    """Rigid motion (4, 4) of the rig frame within the meridian plane at direction_deg.
+
+    (lateral, radial) turn by rotation_rad about pivot_mm from lateral towards radial, then shift.
+    """
+    psi = np.radians(direction_deg)
+    axial, radial = np.array([1.0, 0.0, 0.0]), np.array([0.0, np.cos(psi), np.sin(psi)])
+    rotation = rigid.rotation_from_vector(np.cross(axial, radial) * rotation_rad)
+    pivot = pivot_mm[0] * axial + pivot_mm[1] * radial
+    return rigid.transform(rotation, pivot - rotation @ pivot + lateral_mm * axial + radial_mm * radial)
+
+
+@dataclass(frozen=True)
+class MeanMeridian:
+    """Mean over the turn for each image row of one sensor and line: (rows,) and, leaving groups of frames out, (groups, rows)."""
+
+    lateral_mm: Array
+    radial_mm: Array
+    u_mm: Array
+    """Standard uncertainty of the mean along its larger component, from the scatter over the turn."""
+    n_frames: NDArray[np.int64]
+    left_out_lateral_mm: Array
+    left_out_radial_mm: Array
+
+
+def mean_meridian(
+    lateral_mm: Array, radial_mm: Array, used: Mask, *, clip: float = 4.0, groups: int = 24, min_frames: int = 3
+) -> MeanMeridian:
+    """Mean meridian of grids (frames, rows) over the frames that are `used` (frames,), clipped at `clip` robust scatters.
+
+    A point is judged by the frames about it, so that run-out is not clipped: from some rows more than from others.
+    The rows of the image fix the lines of sight, so a point moves along its own line as the wheel turns and the mean
+    stays on the profile up to (run-out)^2 / (2 radius of curvature). The delete-a-group means serve the jackknife:
+    frames are independent of each other, rows are not.
+    """
+    a, r = lateral_mm[used], radial_mm[used]
+    keep = np.isfinite(a)
+    for values in (a, r):
+        about = nan_median(np.stack([np.roll(values, k, axis=0) for k in (-2, -1, 1, 2)]), axis=0)
+        alone = np.isnan(about)
+        if (alone & ~np.isnan(values)).any():
+            about = np.where(alone, nan_median(values, axis=0), about)
+        deviation = np.abs(values - about)
+        scatter = 1.4826 * nan_median(deviation, axis=0)
+        with np.errstate(invalid="ignore"):
+            keep &= deviation <= clip * np.maximum(scatter, 1e-6)
+    groups = max(2, min(groups, len(a) // 3))
+    starts = [np.arange(g, len(a), groups) for g in range(groups)]
+    count = np.stack([keep[i].sum(axis=0) for i in starts])
+    sums = [np.stack([np.where(keep[i], v[i], 0.0).sum(axis=0) for i in starts]) for v in (a, r)]
+    n = count.sum(axis=0)
+    valid = n >= max(min_frames, 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = np.where(valid, n, np.nan)
+        mean_a, mean_r = (s.sum(axis=0) / total for s in sums)
+        left = np.where(valid & (n - count > 0), n - count, np.nan)
+        left_a, left_r = ((s.sum(axis=0) - s) / left for s in sums)
+        square = np.where(keep, (a - mean_a) ** 2 + (r - mean_r) ** 2, 0.0).sum(axis=0)
+        u = np.sqrt(square / np.where(n > 1, n - 1, np.nan) / total)
+    return MeanMeridian(mean_a, mean_r, u, n, left_a, left_r)
+
+
+def grouped_meridians(lateral_mm: Array, radial_mm: Array, groups: int) -> tuple[Array, Array]:
+    """Medians of `groups` interleaved sets of frames, (groups, rows) each: a turn folded into a few columns."""
+    groups = max(1, min(groups, len(lateral_mm)))
+    folded = [
+        (nan_median(lateral_mm[g::groups], axis=0), nan_median(radial_mm[g::groups], axis=0)) for g in range(groups)
+    ]
+    return np.stack([f[0] for f in folded]), np.stack([f[1] for f in folded])
+
+
+def frame_offsets(
+    values: Array, expected: Array, rows: Mask, weights: Array | None = None
+) -> tuple[Array, NDArray[np.int64]]:
+    """Mean over `rows` of values - expected for each frame (frames,), clipped at four scatters, and the points in it.
+
+    values (frames, rows); expected broadcasts against it; rows (rows,). NaN where a frame has no point there.
+    """
+    deviation = values[:, rows] - np.broadcast_to(expected, values.shape)[:, rows]
+    middle = nan_median(deviation, axis=1)[:, None]
+    spread = np.abs(deviation - middle)
+    scatter = 1.4826 * float(np.median(spread[np.isfinite(spread)])) if np.isfinite(spread).any() else 0.0
+    with np.errstate(invalid="ignore"):
+        deviation = np.where(spread <= 4 * max(scatter, 1e-6), deviation, np.nan)
+    w = None if weights is None else np.broadcast_to(weights[rows], deviation.shape)
+    return nan_mean(deviation, axis=1, weights=w)
+
+
+@dataclass(frozen=True)
+class HarmonicFit:
+    """Harmonics of a quantity over the turn: mean + sum of a_n cos(n angle) + b_n sin(n angle)."""
+
+    mean: float
+    u_mean: float
+    cosine: Array
+    sine: Array
+    fitted: Array
+    """Model at every given angle (frames,)."""
+    used: Mask
+    scatter: float
+    """Standard deviation of the residuals of the used frames."""
+    coverage_ratio: float
+    max_gap_deg: float
+    peak_to_peak: float
+    """Maximum minus minimum of the model over the turn."""
+    u_peak_to_peak: float
+
+
+def coverage(angle_deg: Array) -> tuple[float, float]:
+    """Share of the turn that the angles (n,) cover, and the largest gap in degrees.
+
+    Each angle stands for the arc to its neighbours, up to twice the median spacing; a longer arc is a gap.
+    """
+    turn = np.unique(np.mod(angle_deg, 360.0))
+    if turn.size < 2:
+        return 0.0, 360.0
+    arcs = np.diff(np.concatenate([turn, [turn[0] + 360.0]]))
+    typical = max(2 * float(np.median(arcs)), 1e-9)
+    return float(np.minimum(arcs, typical).sum() / 360.0), float(arcs.max())
+
+
+def fit_harmonics(angle_deg: Array, values: Array, order: int, exclude_sigmas: float) -> HarmonicFit | None:
+    """Robust least-squares harmonics up to `order` of values (frames,) at angle_deg (frames,); None if too few.
+
+    Frames are excluded while they lie farther from the model than exclude_sigmas robust scatters (dirt, flats). The
+    order is lowered where the frames or a gap cannot support it: at least three frames a coefficient, and no gap
+    longer than three quarters of a wavelength of the highest order.
+    """
+    seen = np.isfinite(values)
+    if seen.sum() < 4:
+        return None
+    _, gap = coverage(angle_deg[seen])
+    order = int(max(0, min(order, (seen.sum() // 3 - 1) // 2, np.floor(270.0 / gap) if gap > 0 else order)))
+    used = _robust_use(angle_deg, values, seen, min(order, 2), 1.5 * exclude_sigmas)
+    used = _robust_use(angle_deg, values, used, order, exclude_sigmas)
+    design = _harmonic_design(angle_deg, order)
+    if used.sum() < max(4, design.shape[1] + 2):
+        return None
+    coefficients = np.linalg.lstsq(design[used], values[used], rcond=None)[0]
+    fitted = design @ coefficients
+    residual = values[used] - fitted[used]
+    variance = float(residual @ residual) / max(used.sum() - design.shape[1], 1)
+    covariance = np.linalg.pinv(design[used].T @ design[used]) * variance
+    share, gap = coverage(angle_deg[used])
+    shape = _harmonic_design(np.arange(0.0, 360.0, 0.5), order)
+    shape[:, 0] = 0.0
+    cosine, sine = coefficients[1 : order + 1], coefficients[order + 1 :]
+    shrunk = _less_noise(cosine, sine, np.diag(covariance))
+    wave = shape @ np.concatenate([[0.0], cosine * shrunk, sine * shrunk])
+    slope = shape[wave.argmax()] - shape[wave.argmin()]
+    least = 8.0 * variance / used.sum()  # that of a single harmonic: a run-out of zero is known no better
+    return HarmonicFit(
+        float(coefficients[0]),
+        float(np.sqrt(covariance[0, 0])),
+        cosine * shrunk,
+        sine * shrunk,
+        fitted,
+        used,
+        float(np.sqrt(variance)),
+        share,
+        gap,
+        float(wave.max() - wave.min()),
+        float(np.sqrt(max(slope @ covariance @ slope, least))),
+    )
+
+
+def _harmonic_design(angle_deg: Array, order: int) -> Array:
+    theta = np.radians(angle_deg)[:, None] * np.arange(1, order + 1)
+    return np.hstack([np.ones((len(theta), 1)), np.cos(theta), np.sin(theta)])
+
+
+def _robust_use(angle_deg: Array, values: Array, allowed: Mask, order: int, sigmas: float) -> Mask:
+    """Which of the allowed frames lie within `sigmas` robust scatters of harmonics up to `order` (redescending weights).
+
+    A first pass of low order finds dirt and flats that a higher order would bend towards.
+    """
+    design = _harmonic_design(angle_deg, order)
+    used, weight = allowed.copy(), np.ones(len(values))
+    for step in range(30):
+        if used.sum() < max(4, design.shape[1] + 2):
+            return used
+        coefficients = np.linalg.lstsq(design[used] * weight[used, None], values[used] * weight[used], rcond=None)[0]
+        residual = values - design @ coefficients
+        # Residuals are smaller than the noise by what the harmonics took from it.
+        freedom = used.sum() / (used.sum() - design.shape[1])
+        scatter = max(1.4826 * float(np.median(np.abs(residual[used]))) * np.sqrt(freedom), 1e-9)
+        with np.errstate(invalid="ignore"):
+            now = allowed & (np.abs(residual) <= sigmas * scatter)
+        weight = 1.0 / np.sqrt(1.0 + (np.nan_to_num(residual) / (2.0 * scatter)) ** 2)
+        if np.array_equal(now, used) and step > 3:
+            break
+        used = now
+    return used
+
+
+def _less_noise(cosine: Array, sine: Array, variance: Array) -> Array:
+    """Factor for each harmonic that takes the noise's share out of its power, so that noise does not count as run-out."""
+    order = len(cosine)
+    power = cosine**2 + sine**2
+    noise = variance[1 : order + 1] + variance[order + 1 :]
+    return np.sqrt(np.clip(1.0 - noise / np.maximum(power, 1e-30), 0.0, 1.0))
