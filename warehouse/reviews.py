@@ -1,0 +1,142 @@
+"""Reviews of independent instruments, and certificates: read from cmm/*.csv, kept in the warehouse, shown as one table."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from warehouse import store
+from warehouse.lineage import BUNDLE, CALIBRATION_DAY, FLEET_DAY, Record
+from wheelset_assets.bundle import ScanHeader
+from wheelset_assets.quality import ConfigError
+
+
+def reviews_fingerprint(reviews: list[Path]) -> str:
+    """Changes with the names and contents of the review files."""
+    lines = []
+    for path in reviews:
+        try:
+            lines.append(f"{path.name} {store.sha256_file(path)}")
+        except OSError as error:
+            lines.append(f"{path.name} {error.strerror}")
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+def reviews_changed(root: Path, reviews: list[Path]) -> bool:
+    """Whether the review files are others than those that the last run saw."""
+    path = root / "_catalog" / "reviews.json"
+    known = (
+        json.loads(path.read_text(encoding="utf-8")).get("fingerprint") if path.exists() else reviews_fingerprint([])
+    )
+    return bool(known != reviews_fingerprint(reviews))
+
+
+def store_reviews(root: Path, reviews: list[Path]) -> None:
+    """Copy the inbox's reviews, so that a moved warehouse keeps them; a file that cannot be read keeps its reason."""
+    rows, troubles = [], []
+    for path in reviews:
+        try:
+            rows += read_review(path)
+        except ConfigError as error:
+            troubles.append(str(error))
+    data = [{**row, "measured_at": row["measured_at"].isoformat()} for row in rows]
+    store.write_bytes(
+        root / "_catalog" / "reviews.json",
+        json.dumps(
+            {"fingerprint": reviews_fingerprint(reviews), "reviews": data, "troubles": troubles}, indent=1
+        ).encode(),
+    )
+
+
+def review_troubles(root: Path) -> list[str]:
+    """Why review files of the last run could not be read; none of their rows is in reference_values."""
+    path = root / "_catalog" / "reviews.json"
+    troubles = json.loads(path.read_text(encoding="utf-8"))["troubles"] if path.exists() else []
+    return [f"review left out: {trouble}" for trouble in troubles]
+
+
+def read_review(path: Path) -> list[dict[str, Any]]:
+    """Rows of a review file; ConfigError names file, line, column and expectation."""
+    wanted = ("wheelset_id", "quantity", "side", "value_mm", "expanded_uncertainty_mm", "measured_at")
+    rows = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file)
+            if missing := [c for c in wanted if c not in (reader.fieldnames or [])]:
+                raise ConfigError(f"cmm/{path.name}: column {missing[0]} is missing")
+            for row in reader:
+                rows.append(_review_row(path, reader.line_num, row))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"cmm/{path.name}: cannot be read: {error}") from error
+    return rows
+
+
+def _review_row(path: Path, line: int, row: dict[str, str]) -> dict[str, Any]:
+    def wrong(column: str, expected: str) -> ConfigError:
+        return ConfigError(f"cmm/{path.name}: line {line}: column {column}: expected {expected}; found {row[column]!r}")
+
+    for column in ("wheelset_id", "quantity"):
+        if not row[column]:
+            raise wrong(column, "a name")
+    if row["side"] not in ("left", "right", "both"):
+        raise wrong("side", "left, right or both")
+    numbers = {}
+    for column, smallest in (("value_mm", -math.inf), ("expanded_uncertainty_mm", 0.0)):
+        try:
+            numbers[column] = float(row[column])
+        except (TypeError, ValueError):
+            raise wrong(column, "a number") from None
+        if not math.isfinite(numbers[column]) or numbers[column] < smallest:
+            raise wrong(column, "a finite number" + (", not negative" if smallest == 0 else ""))
+    try:
+        measured_at = datetime.fromisoformat(row["measured_at"])
+        measured_at.astimezone(UTC)
+    except (TypeError, ValueError, OverflowError):
+        measured_at = None
+    if measured_at is None or measured_at.tzinfo is None:
+        raise wrong("measured_at", "a time with an offset")
+    return {
+        "wheelset_id": row["wheelset_id"],
+        "quantity": row["quantity"],
+        "side": row["side"],
+        **numbers,
+        "measured_at": measured_at,
+        "instrument": row.get("instrument") or None,
+        "source": "cmm",
+        "origin": f"cmm/{path.name}",
+    }
+
+
+def reference_rows(root: Path, records: list[tuple[str, Record]]) -> list[dict[str, Any]]:
+    path = root / "_catalog" / "reviews.json"
+    rows = json.loads(path.read_text(encoding="utf-8"))["reviews"] if path.exists() else []
+    rows = [{**row, "measured_at": datetime.fromisoformat(row["measured_at"])} for row in rows]
+    for day, record in records:
+        if (
+            record.stage == BUNDLE
+            and record.ok
+            and record.header
+            and record.superseded_at is None
+            and day not in (CALIBRATION_DAY, FLEET_DAY)
+        ):
+            header = ScanHeader.model_validate_json(record.header)
+            for c in header.certificate if header.purpose == "reference" else []:
+                rows.append(
+                    {
+                        "wheelset_id": header.wheelset.wheelset_id,
+                        "quantity": c.quantity,
+                        "side": c.side,
+                        "value_mm": c.value_mm,
+                        "expanded_uncertainty_mm": c.expanded_uncertainty_mm,
+                        "measured_at": header.captured_at,
+                        "instrument": None,
+                        "source": "certificate",
+                        "origin": header.scan_id,
+                    }
+                )
+    return rows

@@ -1,0 +1,162 @@
+"""Parquet layout of the warehouse: names, atomic writes, hashes, column-projected reads. No decision is taken here.
+
+    <table>/day=<day>/scan_id=<unit>/<version>.parquet     one file a scan (clouds, features)
+    <table>/day=<day>/<version>.parquet                    one file a day (light tables)
+    <table>/calibration_id=<id>/<version>.parquet          one file a calibration
+    <table>/<version>.parquet                              one file for the fleet
+
+A file is named by the hash of its bytes and never changes; the ledger says which one is current. So a reader sees
+either the old state or the new one, and a crash leaves at worst a file that nobody names. In object storage the names
+are the same, and an object appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from warehouse import place
+from wheelset_assets.declare import Table
+
+VERSION_DIGITS = 16
+
+
+def sha256_file(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def table_hash(table: pa.Table) -> str:
+    """Content hash of an Arrow table: names and values, whatever its chunks, offsets, or bytes under its nulls."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        table.combine_chunks(),
+        sink,
+        compression="none",
+        use_dictionary=False,
+        store_schema=False,
+        write_statistics=False,
+    )
+    return hashlib.sha256(memoryview(sink.getvalue())).hexdigest()[:VERSION_DIGITS]
+
+
+def folder(root: Path, table: Table, day: str | None, key: str | None) -> Path:
+    """Folder of a table's file for a day and unit, a day, a calibration, or the fleet."""
+    base = root / table.name
+    if table.layout == "scan":
+        return base / f"day={day}" / f"scan_id={key}"
+    if table.layout == "day":
+        return base / f"day={day}"
+    if table.layout == "calibration":
+        return base / f"calibration_id={key}"
+    return base
+
+
+def write_table(root: Path, table: Table, data: pa.Table, day: str | None, key: str | None) -> tuple[str, str, int]:
+    """Write data atomically under the hash of its bytes; returns (path relative to root, version, size in bytes).
+
+    Single floats are split by bytes before compression: their exponents and high mantissas repeat, their noise does not.
+    """
+    within = folder(root, table, day, key)
+    if place.is_remote(root):
+        sink = pa.BufferOutputStream()
+        pq.write_table(data, sink, **_encoding(table))
+        content = sink.getvalue()
+        version = hashlib.sha256(memoryview(content)).hexdigest()[:VERSION_DIGITS]
+        target = within / f"{version}.parquet"
+        place.put(target, content.to_pybytes())
+        return target.relative_to(root).as_posix(), version, content.size
+    _make_folder(within)
+    temporary = within / f".tmp-{os.getpid()}-{table.name}.parquet"
+    pq.write_table(data, temporary, **_encoding(table))
+    version = sha256_file(temporary)[:VERSION_DIGITS]
+    target = within / f"{version}.parquet"
+    publish(temporary, target)
+    return target.relative_to(root).as_posix(), version, target.stat().st_size
+
+
+def _encoding(table: Table) -> dict:
+    singles = [c.name for c in table.columns if c.type == "float32"]
+    packed = [c.name for c in table.columns if c.type in ("int16", "int32", "int8") and table.layout == "scan"]
+    dictionary = [c.name for c in table.columns if c.type in ("string", "category", "strings")]
+    encoding = dict.fromkeys(singles, "BYTE_STREAM_SPLIT") | dict.fromkeys(packed, "DELTA_BINARY_PACKED")
+    nested = {"strings": ".list.element"}
+    return {
+        "compression": "zstd",
+        "compression_level": 3,
+        "use_dictionary": [name + nested.get(table.column(name).type, "") for name in dictionary] or False,
+        "column_encoding": encoding or None,
+        "row_group_size": 131_072,
+        "store_schema": True,
+        "write_statistics": True,
+    }
+
+
+def publish(temporary: Path, target: Path) -> None:
+    """Make a finished temporary file visible under its name: flushed to disk, renamed, and the name flushed too, so that
+    neither is lost with the power.
+    """
+    with temporary.open("rb+") as file:
+        os.fsync(file.fileno())
+    os.replace(temporary, target)
+    sync_folder(target.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush a folder's names to disk, where the system can (Windows cannot)."""
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _make_folder(folder: Path) -> None:
+    """A folder with all above it, whose new names are flushed to disk."""
+    if folder.is_dir():
+        return
+    _make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    sync_folder(folder.parent)
+
+
+def write_bytes(target: Path, data: bytes) -> None:
+    """Write a small file atomically."""
+    if place.is_remote(target):
+        place.put(target, data)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".tmp-{os.getpid()}-{target.name}")
+    temporary.write_bytes(data)
+    publish(temporary, target)
+
+
+def read_table(root: Path, path: str, columns: list[str] | None = None) -> pa.Table:
+    """A stored table, or some of its columns; dictionaries come back as dictionaries."""
+    source = pa.BufferReader((root / path).read_bytes()) if place.is_remote(root) else root / path
+    return pq.read_table(source, columns=columns, partitioning=None)
+
+
+def files_of(root: Path, table: Table) -> set[str]:
+    """Paths, relative to root, of all files of a table, whether the ledger names them or not."""
+    base = root / table.name
+    if place.is_remote(root):
+        return {f"{table.name}/{name}" for name in place.objects(base) if name.endswith(".parquet")}
+    return {p.relative_to(root).as_posix() for p in base.rglob("*.parquet")}
+
+
+def sweep_temporary(root: Path) -> int:
+    """Remove temporary files that a killed run left behind; call it while holding the warehouse's lock."""
+    if place.is_remote(root):
+        return 0  # an object that was not written to its end does not exist
+    stray = [path for path in root.rglob(".tmp-*") if path.is_file()]
+    for path in stray:
+        path.unlink(missing_ok=True)
+    return len(stray)

@@ -1,0 +1,112 @@
+"""What a run did: counts by stage for the orchestrator, counts in scans for people and scripts."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from warehouse.execute import Outcome
+from warehouse.lineage import Record
+from wheelset_assets.stages import SCAN_STAGES
+
+if TYPE_CHECKING:
+    from warehouse.night import Night
+
+
+@dataclass
+class StageSummary:
+    """What one stage did on one day. `compute_seconds`: of `seconds`, those in the stage's own function."""
+
+    computed: int = 0
+    unchanged: int = 0
+    refused: int = 0
+    failed: int = 0
+    blocked: int = 0
+    points: int = 0
+    seconds: float = 0.0
+    compute_seconds: float = 0.0
+    bytes: int = 0
+    reasons: Counter = field(default_factory=Counter)
+    data_version: str = ""
+
+    def count(self, outcome: Outcome) -> None:
+        """Add what became of one task."""
+        self.seconds += outcome.seconds
+        self.compute_seconds += outcome.compute_seconds
+        self.points += outcome.points
+        self.bytes += sum(o.bytes for o in outcome.outputs)
+        if outcome.state == "ok":
+            self.computed += 1
+        else:
+            self.refused += outcome.state == "refused"
+            self.failed += outcome.state == "failed"
+            self.reasons[outcome.reason] += 1
+
+
+@dataclass
+class Summary:
+    """What a run did, in scans. `pending` has work that this run did not reach; `warnings` concern no single scan."""
+
+    measured: int = 0
+    refused: int = 0
+    failed: int = 0
+    unchanged: int = 0
+    pending: int = 0
+    points: int = 0
+    seconds: float = 0.0
+    compute_seconds: float = 0.0
+    troubles: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        """For scripts."""
+        return asdict(self)
+
+
+def summarise(night: Night) -> Summary:
+    """Counts of a run, in scans."""
+    kept = night.record
+    result = Summary(points=kept.points, warnings=list(dict.fromkeys(kept.warnings)))
+    result.compute_seconds = round(kept.compute_seconds, 3)
+    behind = _not_reached(night)
+    for name in night.state.present:
+        state, record = _state_of(night, name) if name in kept.touched else ("", None)
+        if name in behind or name in night.unread or state == "pending":
+            result.pending += 1
+        elif name not in kept.touched:
+            result.unchanged += 1
+        elif state == "measured":
+            result.measured += 1
+        elif record is not None:
+            setattr(result, state, getattr(result, state) + 1)
+            reason, _, details = (record.reason or "").partition("\n")
+            trouble = {"scan_id": name, "state": state, "stage": record.stage, "reason": reason}
+            result.troubles.append(trouble | ({"details": details} if details else {}))
+    result.seconds = round(time.perf_counter() - night.started, 3)
+    return result
+
+
+def _not_reached(night: Night) -> set[str]:
+    """Scans that still have work, because time ran out or because only others were asked for."""
+    if not night.interrupted and not night.only:
+        return set()
+    units = [u for u in night.state.scans.values() if u.key not in night.record.touched or night.interrupted]
+    return {unit.key for found in night.state.stale_units(units).values() for unit in found}
+
+
+def _state_of(night: Night, name: str) -> tuple[str, Record | None]:
+    """State of a scan, with the record that decided it."""
+    if name not in night.state.scans:
+        found = night.ledger.bundle(name)
+        return ("pending", None) if found is None else (found[1].state, found[1])
+    unit = night.state.scans[name]
+    ledger = night.ledger.day(unit.day)
+    for stage in SCAN_STAGES:
+        record = ledger.get(unit.key, stage.name)
+        if record is None:
+            return "pending", None
+        if not record.ok:
+            return record.state, record
+    return "measured", None
