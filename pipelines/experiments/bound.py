@@ -1,0 +1,180 @@
+"""Cramér–Rao bounds of the draws of the accuracy experiment: the least spread that the given noise allows.
+
+An unbiased estimator that knew the true poses, cameras and noise could spread no less about the truth than this: the
+Fisher information of the stripe centres about each quantity, the form of the profile near it being unknown (a
+polynomial), with the scatter of the axis of rotation and of the thermometers, which no stripe tells. Simulated truth
+and true poses are used here and nowhere else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from wheelset_assets.simulation.noise import NoiseModel
+from wheelset_assets.simulation.rig import Rig
+from wheelset_assets.simulation.wheelset import Wheelset
+
+Array = NDArray[Any]
+AXIS_UM = 0.5
+"""Radius of the ball in which the axis of rotation lies in each scan (scan-bundle format)."""
+TREAD_HALF_WIDTH_MM, TREAD_DEGREE = 10.0, 4
+TIP_HALF_WIDTH_MM, TIP_DEGREE = 4.0, 4
+FLANK_HALF_WIDTH_MM, FLANK_DEGREE = 1.5, 2
+STRAIGHT_HALF_WIDTH_MM = 200.0
+TIP_MM = 15.0
+"""About where, from the inner face, the flange is highest: its height there is known to first order of the offset."""
+FACE_BAND_MM = 0.6
+"""Points this near to a flat face's true plane are on it: a calibration's error moves them by some tenths."""
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Mean meridian rows of one sensor in the true frame: place, and what one frame's centre noise makes of it, in mm.
+
+    towards: unit direction (lateral, radial) in which a row's depth error moves the point, (rows, 2).
+    """
+
+    row: Array
+    lateral_mm: Array
+    radial_mm: Array
+    sigma_mm: Array
+    towards: Array
+    n_frames: Array
+
+
+def stripe_bounds(
+    tables: dict[str, pa.Table], rig: Rig, rig_c: float, wheelset: Wheelset, growth: float, shift_mm: float
+) -> dict[tuple[str, str], float]:
+    """Standard deviation in mm, by quantity and side, that the stripe noise of one scan leaves at least."""
+    noise, rows = NoiseModel(), _station_rows(tables, rig, rig_c)
+    truth = {key: value * growth for key, value in wheelset.truths().items()}
+    variance: dict[tuple[str, str], float] = {}
+    faces: dict[tuple[str, str], float] = {}
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        face = shift_mm + sign * 0.5 * truth["inner_distance", "both"]
+        shoulder = shift_mm + sign * 0.5 * truth["shoulder_distance", "both"]
+        tread, journal = 0.5 * truth["wheel_diameter", side], 0.5 * truth["journal_diameter", side]
+        wheel = [(r, sign * (r.lateral_mm - face)) for r in rows.get(f"{side}_wheel", [])]
+        axle = [(r, sign * (r.lateral_mm - shoulder)) for r in rows.get(f"{side}_journal", [])]
+
+        def flank(above_tread_mm: float, wheel: Any = wheel, tread: float = tread) -> float:
+            parts = [
+                (r, np.where(s > TIP_MM, r.radial_mm - tread - above_tread_mm, np.inf), r.lateral_mm, 0)
+                for r, s in wheel
+            ]
+            return _level(parts, FLANK_HALF_WIDTH_MM, FLANK_DEGREE, noise)
+
+        tread_v = _level([(r, s - 70.0, r.radial_mm, 1) for r, s in wheel], TREAD_HALF_WIDTH_MM, TREAD_DEGREE, noise)
+        tip_v = _level([(r, s - TIP_MM, r.radial_mm, 1) for r, s in wheel], TIP_HALF_WIDTH_MM, TIP_DEGREE, noise)
+        faces["wheel", side] = _straight(
+            [(r, (np.abs(s) < FACE_BAND_MM) & (r.radial_mm < tread + 9.0), 0) for r, s in wheel], noise
+        )
+        faces["journal", side] = _straight(
+            [(r, (np.abs(s) < FACE_BAND_MM) & (r.radial_mm > journal + 2.0), 0) for r, s in axle], noise
+        )
+        cylinder = _straight([(r, np.abs(r.radial_mm - journal) < FACE_BAND_MM, 1) for r, _ in axle], noise)
+        variance["wheel_diameter", side] = 4 * tread_v
+        variance["journal_diameter", side] = 4 * cylinder
+        variance["flange_height", side] = tread_v + tip_v
+        variance["flange_thickness", side] = flank(10.0) + faces["wheel", side]
+        variance["qr", side] = flank(10.0) + flank(truth["flange_height", side] - 2.0)
+    variance["inner_distance", "both"] = faces["wheel", "left"] + faces["wheel", "right"]
+    variance["shoulder_distance", "both"] = faces["journal", "left"] + faces["journal", "right"]
+    return {key: float(np.sqrt(v)) for key, v in variance.items() if np.isfinite(v)}
+
+
+def _station_rows(tables: dict[str, pa.Table], rig: Rig, rig_c: float) -> dict[str, list[_Rows]]:
+    """Rows of every sensor, by station: means over the frames, placed by the true pose."""
+    cloud = tables["triangulated_clouds"]
+    noise = NoiseModel()
+    true_px = float(np.hypot(noise.white_px, noise.speckle_px))
+    estimated = {(r["sensor_id"], r["line"]): r["centre_noise_px"] for r in tables["stripe_statistics"].to_pylist()}
+    names = np.asarray(cloud["sensor_id"].to_pylist(), object)
+    columns = {c: cloud[c].to_numpy().astype(float) for c in ("line", "row", "x_mm", "y_mm", "z_mm", "u_depth_um")}
+    found: dict[str, list[_Rows]] = {}
+    for sensor in rig.sensors:
+        pose = sensor.rig_from_sensor_at(rig_c, rig.expansion_per_k)
+        for line in range(len(sensor.planes)):
+            member = (names == sensor.sensor_id) & (columns["line"] == line)
+            if not member.any():
+                continue
+            row = columns["row"][member].astype(int)
+            count = np.bincount(row)
+            seen = np.flatnonzero(count > 2)
+            mean = {c: _median_by(row, columns[c][member], seen) for c in ("x_mm", "y_mm", "z_mm", "u_depth_um")}
+            points = np.column_stack([mean["x_mm"], mean["y_mm"], mean["z_mm"]])
+            at = points @ pose[:3, :3].T + pose[:3, 3]
+            sight = points / np.linalg.norm(points, axis=1)[:, None] @ pose[:3, :3].T
+            radial = np.hypot(at[:, 1], at[:, 2])
+            outward = (sight[:, 1] * at[:, 1] + sight[:, 2] * at[:, 2]) / radial
+            scale = true_px / (estimated[sensor.sensor_id, line] or true_px)
+            sigma = mean["u_depth_um"] * 1e-3 * scale
+            found.setdefault(sensor.station, []).append(
+                _Rows(seen, at[:, 0], radial, sigma, np.column_stack([sight[:, 0], outward]), count[seen])
+            )
+    return found
+
+
+def _median_by(row: Array, values: Array, rows: Array) -> Array:
+    order = np.lexsort((values, row))
+    start = np.searchsorted(row[order], rows)
+    end = np.searchsorted(row[order], rows, side="right")
+    return values[order][(start + end - 1) // 2]
+
+
+def _straight(parts: list[tuple[_Rows, Array, int]], noise: NoiseModel) -> float:
+    """Least variance of a straight part's level at its middle; rows that are on it, and which coordinate is measured."""
+    placed = []
+    for rows, on, axis in parts:
+        along, measured = (rows.radial_mm, rows.lateral_mm) if axis == 0 else (rows.lateral_mm, rows.radial_mm)
+        middle = float(along[on].mean()) if on.any() else 0.0
+        placed.append((rows, np.where(on, along - middle, np.inf), measured, axis))
+    return _level(placed, STRAIGHT_HALF_WIDTH_MM, 1, noise)
+
+
+def _level(parts: list[tuple[_Rows, Array, Array, int]], half_width: float, degree: int, noise: NoiseModel) -> float:
+    """Least variance of a curve's level at 0, over all frames: the curve is a polynomial of the first array near 0.
+
+    parts: rows of each sensor, their places along the curve, the measured coordinate, and which of (lateral, radial) it
+    is. Sensors add their information: their noise is independent. Infinite where nothing was seen.
+    """
+    information = np.zeros((degree + 1, degree + 1))
+    for rows, at, measured, axis in parts:
+        near = np.flatnonzero(np.abs(at) <= half_width)
+        if len(near) <= degree + 1:
+            continue
+        # An error along the line of sight moves a point along the curve, too: what counts is its part across the curve.
+        slope = np.gradient(measured[near], at[near]) if len(near) > 2 else np.zeros(len(near))
+        across = rows.towards[near, axis] - np.clip(slope, -20, 20) * rows.towards[near, 1 - axis]
+        sigma = rows.sigma_mm[near] * np.maximum(np.abs(across), 1e-6)
+        apart = np.abs(rows.row[near][:, None] - rows.row[near][None, :])
+        share = noise.speckle_px**2 / (noise.speckle_px**2 + noise.white_px**2)
+        correlation = share * np.exp(-(apart**2) / (2 * noise.speckle_rows**2)) + (1 - share) * (apart == 0)
+        design = (at[near, None] / half_width) ** np.arange(degree + 1) / sigma[:, None]
+        information += float(np.median(rows.n_frames[near])) * design.T @ np.linalg.solve(correlation, design)
+    if np.linalg.matrix_rank(information) <= degree:
+        return float("inf")
+    return float(np.linalg.inv(information)[0, 0])
+
+
+def other_bounds(budgets: pa.Table, thermometer_c: float, configured_c: float) -> dict[tuple[str, str], float]:
+    """Standard deviation in mm, by quantity and side, from the axis of rotation and the thermometers as they truly err.
+
+    Sensitivities are those of the budgets: geometry and lengths alone.
+    """
+    variance: dict[tuple[str, str], float] = {}
+    for row in budgets.to_pylist():
+        key = (row["quantity"], row["side"])
+        if row["source"].endswith("temperature") or row["source"].startswith("rig temperature"):
+            term = row["contribution"] * thermometer_c / configured_c
+        elif row["source"] == "axis of rotation":  # one coordinate of a point in a ball, in the scan and the reference
+            term = row["sensitivity"] * AXIS_UM * 1e-3 / np.sqrt(5.0) * np.sqrt(2.0)
+        else:
+            continue
+        variance[key] = variance.get(key, 0.0) + term**2
+    return {key: float(np.sqrt(v)) for key, v in variance.items()}
