@@ -1,0 +1,106 @@
+"""The process that is measured by `benchmarks.fleet_night`: one run through Dagster, and what it cost its driver.
+
+With `recorded`, the stages' own functions are not called again for every copy of a template: what they returned for the
+first is given back. Reading, checking, writing, ledger and Dagster are the program's, unchanged.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+RECORDED = "WHEELSET_BENCHMARK_RECORDED"
+
+
+def recorded(task: Any) -> Any:
+    """`execute`, with the computation of a template's copies looked up; runs in the workers."""
+    from warehouse import execute
+
+    execute.compute = _looked_up
+    return execute.execute(task)
+
+
+def _looked_up(stage: Any, task: Any, got: Mapping[str, Any]) -> Mapping[str, pa.Table]:
+    template = task.scan.comment if task.scan is not None else None
+    if template is None:
+        return stage.run(**got, config=task.config)  # type: ignore[no-any-return]
+    purpose = "first" if task.scan.scan_id == "ref-0000" else task.scan.purpose
+    folder = Path(os.environ[RECORDED]) / stage.name / f"{template}-{purpose}"
+    if not folder.exists():
+        made = stage.run(**got, config=task.config)
+        staged = folder.with_name(f".{folder.name}-{os.getpid()}")
+        staged.mkdir(parents=True, exist_ok=True)
+        for name, table in made.items():
+            with pa.OSFile(str(staged / name), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+                writer.write_table(table)
+        try:
+            staged.rename(folder)
+        except OSError:  # another worker recorded it meanwhile
+            return made  # type: ignore[no-any-return]
+    found = {}
+    for table in stage.outputs:
+        with pa.OSFile(str(folder / table.name), "rb") as file:
+            found[table.name] = _of_this_scan(pa.ipc.open_file(file).read_all(), task)
+    return found
+
+
+def _of_this_scan(table: pa.Table, task: Any) -> pa.Table:
+    """The recorded rows under this scan's own identifiers and times."""
+    own = {
+        "scan_id": task.unit,
+        "wheelset_id": task.scan.wheelset.wheelset_id,
+        "captured_at": task.scan.captured_at,
+        "acquired_on": task.scan.acquired_on,
+    }
+    for name, value in own.items():
+        if (index := table.schema.get_field_index(name)) >= 0:
+            field = table.schema.field(index)
+            values = pa.array([value] * table.num_rows, field.type)
+            table = table.set_column(index, field, values)
+    return table
+
+
+def main(arguments: list[str]) -> int:
+    """Run once: inbox, warehouse, workers, where recorded computations are (`-` computes everything), and perhaps `plain`."""
+    from benchmarks.memory import peak_mb
+    from pipelines.runner import run
+    from pipelines.settings import settings
+    from warehouse import night
+    from warehouse.pool import one_thread
+
+    inbox, warehouse, workers, folder, *plain = arguments
+    one_thread()
+    if folder != "-":
+        os.environ[RECORDED] = folder
+        night.execute = recorded  # type: ignore[attr-defined]
+    s = settings(Path(inbox), Path(warehouse), None, int(workers))
+    summary = _without_dagster(s) if plain else run(s)
+    print(json.dumps(summary.as_json() | {"driver_peak_mb": peak_mb()}))
+    return 0
+
+
+def _without_dagster(s: Any) -> Any:
+    """What the runner does, stage by stage, without recordings."""
+    from warehouse import catalog
+    from warehouse.night import Night
+    from wheelset_assets.stages import SCAN_STAGES
+
+    with Night(s.warehouse, s.inbox, s.config, workers=s.workers) as night:
+        night.prepare()
+        night.run_calibrations()
+        for day in night.days_with_work():
+            for stage in SCAN_STAGES:
+                night.run_stage(stage, day)
+        night.run_fleet()
+        catalog.update(night.root, night.ledger, night.state.inbox.reviews())
+        return night.summary()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,56 @@
+"""Spoilt bundles against the pipeline: a few hundred here, ten thousand by `python -m benchmarks.fuzz`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # the checkout is where the benchmarks are run from
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pipes and alarms as POSIX has them")
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory):
+    from benchmarks.fuzz import make_base
+
+    made = make_base(tmp_path_factory.mktemp("fuzz"))
+    measured = [value for value, _, flags in made.values.values() if value is not None and not flags]
+    assert len(measured) > 30, "the good scan must give values, or nothing could go wrong with them"
+    return made
+
+
+@settings(
+    max_examples=300,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    phases=(Phase.generate,),
+    suppress_health_check=list(HealthCheck),
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_spoilt_bundle_is_refused_flagged_or_changes_nothing_that_counts(base, seed):
+    from benchmarks.fuzz import example
+
+    verdict = example(base, seed)
+    assert verdict.problem is None, verdict
+
+
+def test_a_value_that_is_wrong_without_a_flag_is_noticed():
+    from benchmarks.fuzz import _compare
+
+    good = {("wheel_diameter", "left"): (920.0, 0.005, frozenset())}
+    for value, flags, outcome in (
+        (920.0, (), "unchanged"),
+        (920.004, (), "within U"),
+        (920.1, (), "wrong"),
+        (920.1, ("sensor_moved",), "flagged"),
+        (None, (), "values refused"),
+    ):
+        found = {("wheel_diameter", "left"): (value, 0.005, frozenset(flags))}
+        assert _compare(good, found)[0] == outcome
+        assert (_compare(good, found)[1] is not None) == (outcome == "wrong")

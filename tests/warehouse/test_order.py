@@ -1,0 +1,57 @@
+"""What a night works on first: references in order of time, then the newest day; and what it keeps in memory meanwhile."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fake_inbox import FakeStages, inbox_of, run_night
+
+from warehouse.night import Night
+from wheelset_assets.config import Config
+from wheelset_assets.stages import SCAN_STAGES
+
+DAYS = ("2025-04-05", "2025-04-06", "2025-04-07")
+
+
+def test_references_first_then_the_newest_scans(tmp_path: Path, stages: FakeStages) -> None:
+    inbox, warehouse = inbox_of(tmp_path / "inbox", days=DAYS, scans=1), tmp_path / "w"
+    summary = run_night(inbox, warehouse)
+    assert summary.measured == 6
+    measured = [unit for stage, unit in stages.take() if stage == "measurements"]
+    assert measured == [*(f"ref-{day}" for day in DAYS), *(f"scan-{day}-0" for day in reversed(DAYS))]
+    assert run_night(inbox, warehouse).unchanged == 6
+    assert stages.take() == []
+
+
+def test_one_day_is_one_piece_of_work(tmp_path: Path, stages: FakeStages) -> None:
+    inbox = inbox_of(tmp_path / "inbox", days=DAYS[:1], scans=1)
+    with Night(tmp_path / "w", inbox, Config(), workers=0, wait_seconds=0) as night:
+        night.prepare()
+        night.run_calibrations()
+        found = []
+        for day in night.days_with_work():
+            found.append(day)
+            for stage in SCAN_STAGES:
+                night.run_stage(stage, day)
+    assert found == [DAYS[0]]
+
+
+def test_the_window_closes_between_days_and_the_next_run_goes_on(tmp_path: Path, stages: FakeStages) -> None:
+    inbox, warehouse = inbox_of(tmp_path / "inbox", days=DAYS, scans=1), tmp_path / "w"
+    shut = run_night(inbox, warehouse, until=datetime(2020, 1, 1, tzinfo=UTC))
+    assert (shut.measured, shut.pending) == (0, 6)
+    assert run_night(inbox, warehouse).measured == 6
+
+
+def test_days_that_are_done_leave_memory(tmp_path: Path, stages: FakeStages) -> None:
+    inbox = inbox_of(tmp_path / "inbox", days=DAYS, scans=1)
+    most = 0
+    with Night(tmp_path / "w", inbox, Config(), workers=0, wait_seconds=0) as night:
+        night.prepare()
+        night.run_calibrations()
+        for day in night.days_with_work():
+            for stage in SCAN_STAGES:
+                night.run_stage(stage, day)
+            most = max(most, len([d for d in night.ledger._days if d[:2] == "20"]))
+    assert most <= 2, "the day itself, and that of a reference before it"

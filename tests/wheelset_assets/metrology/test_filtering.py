@@ -1,0 +1,295 @@
+"""Filters on grids whose noise, outliers and gaps are known; slow loops as oracles of the fast ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.signal import lfilter
+from two_sided import mean_square_interval
+
+from wheelset_assets.metrology import filtering
+
+KINDS = ("median", "mean", "gaussian")
+KNOBS = {"window_rows": 5, "window_frames": 1, "sigma_rows": 1.0}
+masks = arrays(bool, (4, 40), elements=st.booleans())
+
+
+def profile(frames=120, rows=400):
+    """Depth (frames, rows) mm of a wheel-like profile with a steep flank, turning with run-out."""
+    row = np.arange(rows)
+    shape = 250 + 6 * np.sin(row / 45) + 25 / (1 + np.exp(-(row - 180) / 6.0))
+    turn = np.linspace(0, 2 * np.pi, frames, endpoint=False)[:, None]
+    return shape + 0.05 * np.cos(turn) + 0.02 * np.sin(2 * turn + 1) + 0.0004 * np.gradient(shape) * np.cos(turn)
+
+
+# --- outliers
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.05])
+def test_outliers_are_found_and_nothing_else(sigma):
+    """Five sigma on 48,000 points: at most a few false positives, and all outliers that stand clear of the noise."""
+    random = np.random.default_rng(1)
+    depth = profile() + sigma * random.standard_normal((120, 400))
+    truth = random.random(depth.shape) < 0.003
+    size = random.choice([-1.0, 1.0], depth.shape) * random.uniform(8 * sigma, 30.0, depth.shape)
+    depth[truth] += size[truth]
+    depth[random.random(depth.shape) < 0.01] = np.nan
+    found = filtering.outliers(depth, 5.0, 11)
+    truth &= np.isfinite(depth)
+    # Normal noise exceeds 5 sigma once in 1.7 million; 3 points in 48,000 leave room for the scale's own noise.
+    assert (found & ~truth).sum() <= 3
+    assert (truth & ~found).sum() <= 1
+    assert truth.sum() > 100
+    assert not found[np.isnan(depth)].any()
+
+
+def test_the_threshold_is_where_it_says():
+    """Two-sided: of outliers of 4 sigma few go at a limit of 5, of 7 sigma few stay.
+
+    One outlier a row. It is a clipped part of its own local mean, 3 of 11 sigma: the limit acts at 5.3.
+    """
+    random = np.random.default_rng(2)
+    clean = profile() + 0.02 * random.standard_normal((120, 400))
+    rows = np.arange(3, 400, 3)
+    frames = rows * 37 % 120
+    shares = {}
+    for size in (3.0, 4.0, 6.0, 7.0, 9.0):
+        depth = clean.copy()
+        depth[frames, rows] += size * 0.02
+        shares[size] = filtering.outliers(depth, 5.0, 11)[frames, rows].mean()
+    # Normal distribution: 1 %, 10 %, 76 %, 96 %, 100 %; 133 points each, so three standard deviations are 4 to 11 %.
+    assert shares[3.0] < 0.05
+    assert 0.01 < shares[4.0] < 0.2
+    assert 0.6 < shares[6.0] < 0.9
+    assert shares[7.0] > 0.88
+    assert shares[9.0] == 1.0
+
+
+def test_noise_that_grows_along_the_rows_has_a_local_scale():
+    random = np.random.default_rng(3)
+    sigma = 0.01 * 4 ** (np.arange(512) / 511)
+    depth = profile(rows=512) + sigma * random.standard_normal((120, 512))
+    # Over a block of 64 rows the noise grows by a fifth: the limit of 5 is 4.6 at its noisy end, 4e-6 of the points.
+    assert filtering.outliers(depth, 5.0, 11).sum() <= 4
+    depth[10, [40, 480]] += 0.1  # ten sigma where it is quiet, under three where it is not
+    assert filtering.outliers(depth, 5.0, 11)[10, [40, 480]].tolist() == [True, False]
+
+
+def test_edges_flats_and_single_frames_are_not_eaten():
+    """A part that only some frames show, a flat over five frames, a frame apart: no outliers."""
+    random = np.random.default_rng(4)
+    depth = profile() + 0.02 * random.standard_normal((120, 400))
+    depth[:, :30] = np.nan
+    depth[40:60, 30:90] = np.nan
+    depth[::2, 250:253] = np.nan
+    depth[70:75, 300:] += 0.1 * np.hanning(200)[:100]  # five sigma deep, but long along the rows
+    depth[100] += 0.15
+    found = filtering.outliers(depth, 5.0, 11)
+    assert found.sum() <= 3
+
+
+def test_few_frames_are_judged_along_the_rows():
+    random = np.random.default_rng(5)
+    depth = 250 + 0.002 * np.arange(400) + 0.01 * random.standard_normal((4, 400))
+    depth[1, 50], depth[3, 399], depth[2, 200] = depth[1, 50] + 0.5, depth[3, 399] - 0.5, np.nan
+    found = filtering.outliers(depth, 5.0, 11)
+    assert found[1, 50]
+    assert found[3, 399]
+    assert found.sum() <= 4  # a median of eleven is itself noisy: 1600 points at an effective 4.8 sigma
+
+
+def test_empty_grids_have_no_outliers():
+    for shape in ((20, 50), (3, 50)):
+        assert not filtering.outliers(np.full(shape, np.nan), 5.0, 11).any()
+
+
+# --- range gate, isolated points, thinning
+
+
+def test_range_gate_keeps_the_margin_about_all_but_the_extreme_hundredths():
+    depth = np.linspace(200, 300, 1001)[None].repeat(10, 0)
+    depth[0, :4] = [180.7, 181.3, 318.7, 319.3]
+    depth[1, 0] = np.nan
+    out = filtering.range_gate(depth, 20.0)
+    # The percentiles are 201 and 299 to one step of 0.1.
+    assert [tuple(p) for p in np.argwhere(out)] == [(0, 0), (0, 3)]
+    assert not filtering.range_gate(np.full((3, 4), np.nan), 1.0).any()
+
+
+@given(masks, st.integers(1, 8))
+def test_isolated_is_the_slow_loop(seen, min_run):
+    expected = np.zeros(seen.shape, bool)
+    for frame in range(len(seen)):
+        row = 0
+        while row < seen.shape[1]:
+            stop = row
+            while stop < seen.shape[1] and seen[frame, stop]:
+                stop += 1
+            if 0 < stop - row < min_run:
+                expected[frame, row:stop] = True
+            row = max(stop, row + 1)
+    assert np.array_equal(filtering.isolated(seen, min_run), expected)
+
+
+@given(masks, st.integers(1, 5))
+def test_thinning_keeps_every_nth_row_that_was_seen(seen, step):
+    keep = filtering.thin(seen, step)
+    assert np.array_equal(keep[:, ::step], seen[:, ::step])
+    assert keep.sum() == seen[:, ::step].sum()
+
+
+@given(masks, st.integers(0, 2**32 - 1), st.sampled_from([1, 3, 5, 11]))
+def test_running_mean_is_the_slow_loop(seen, seed, window):
+    values = np.where(seen, np.random.default_rng(seed).normal(100, 1, seen.shape), np.nan)
+    found = filtering.running_mean(values, window)
+    half = window // 2
+    for frame in range(len(values)):
+        for row in range(values.shape[1]):
+            part = values[frame, max(0, row - half) : row + half + 1]
+            part = part[np.isfinite(part)]
+            expected = part.mean() if part.size else np.nan
+            assert found[frame, row] == pytest.approx(expected, abs=1e-9, nan_ok=True)
+
+
+# --- smoothing
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=60)
+@given(seen=masks, slope=st.floats(-3, 3), window=st.sampled_from([3, 5, 7]), frames=st.sampled_from([1, 3]))
+def test_a_slope_is_unbiased_up_to_every_gap_and_nothing_is_invented(kind, seen, slope, window, frames):
+    """A plane stays a plane, to rounding, wherever points are missing; what is missing stays missing."""
+    plane = 250 + slope * np.arange(40) + 0.7 * slope * np.arange(4)[:, None]
+    depth = np.where(seen, plane, np.nan)
+    found = filtering.smooth(depth, kind, window_rows=window, window_frames=frames, sigma_rows=1.2)
+    assert np.array_equal(np.isfinite(found.depth_mm), seen)
+    assert np.array_equal(np.isfinite(found.noise_factor), seen)
+    assert np.allclose(found.depth_mm[seen], plane[seen], atol=1e-9, rtol=0)
+    assert np.all(found.noise_factor[seen] <= 1.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("gap", [1, 2, 3])
+def test_nothing_is_averaged_across_a_gap(kind, gap):
+    """A step of 5 mm hidden by a gap: both sides keep their own height, and the same holds from frame to frame."""
+    depth = np.where(np.arange(40) < 20, 250.0, 255.0)[None].repeat(9, 0)
+    depth[:, 20 - gap : 20] = np.nan
+    found = filtering.smooth(depth, kind, window_rows=9, window_frames=1, sigma_rows=2.0)
+    assert np.allclose(found.depth_mm, depth, equal_nan=True, atol=1e-9)
+    turned = filtering.smooth(depth.T, kind, window_rows=1, window_frames=9, sigma_rows=2.0)
+    assert np.allclose(turned.depth_mm, depth.T, equal_nan=True, atol=1e-9)
+    # In noise a median over both sides would take the nearest value of its own side: one sigma of bias.
+    noise = 0.05 * np.random.default_rng(20).standard_normal((4000, 40))
+    found = filtering.smooth(depth[:1] + noise, kind, window_rows=9, window_frames=1, sigma_rows=2.0)
+    assert np.abs(
+        np.delete(found.depth_mm - depth[:1], np.s_[20 - gap : 20], axis=1).mean(axis=0)
+    ).max() < 4 * 0.05 / np.sqrt(4000)
+
+
+@pytest.mark.parametrize("kind", ["mean", "gaussian"])
+def test_full_windows_are_plain_convolutions(kind):
+    """Eq. 15 and 16-17 where nothing is missing: numpy's convolution with the written-out kernel."""
+    depth = 250 + np.random.default_rng(6).normal(size=(3, 60))
+    offsets = np.arange(-3, 4)
+    kernel = np.ones(7) if kind == "mean" else np.exp(-(offsets**2) / (2 * 1.5**2))
+    found = filtering.smooth(depth, kind, window_rows=7, window_frames=1, sigma_rows=1.5)
+    expected = np.stack([np.convolve(line, kernel / kernel.sum(), "valid") for line in depth])
+    assert np.allclose(found.depth_mm[:, 3:-3], expected, atol=1e-11)
+
+
+def test_the_median_window_is_eq_14():
+    depth = 250 + np.random.default_rng(7).normal(size=(12, 30))
+    found = filtering.smooth(depth, "median", window_rows=5, window_frames=3, sigma_rows=1.0).depth_mm
+    for i in range(1, 11):
+        for j in range(2, 28):
+            assert found[i, j] == np.median(depth[i - 1 : i + 2, j - 2 : j + 3])
+
+
+@pytest.mark.parametrize("kind", ["none", *KINDS])
+def test_windows_of_one_change_nothing(kind):
+    depth = np.array([[1.0, np.nan, 5.0, 2.0]])
+    found = filtering.smooth(depth, kind, window_rows=1, window_frames=1, sigma_rows=1.0)
+    assert np.array_equal(found.depth_mm, depth, equal_nan=True)
+    assert np.array_equal(found.noise_factor, [[1.0, np.nan, 1.0, 1.0]], equal_nan=True)
+
+
+def test_a_median_claims_nothing_on_a_slope_that_is_steeper_than_the_noise():
+    """There the middle of the window is the point itself; a mean lowers the noise on any slope."""
+    noise = np.random.default_rng(9).standard_normal((400, 40))
+    for rise, low, high in ((0.0, 0.5, 0.62), (10.0, 0.98, 1.0)):
+        found = filtering.smooth(rise * np.arange(40) + noise, "median", window_rows=5, window_frames=1, sigma_rows=1.0)
+        left = (found.depth_mm - rise * np.arange(40))[:, 5:-5].std()
+        claimed = np.median(found.noise_factor[:, 5:-5])
+        assert low < claimed <= high
+        assert left == pytest.approx(claimed, rel=0.06)
+
+
+def test_bilateral_smoothing_keeps_a_step_a_slope_and_a_gap_and_lowers_noise_as_claimed():
+    random = np.random.default_rng(10)
+    course = 250 + 0.2 * np.arange(80) + np.where(np.arange(80) > 40, 3.0, 0.0)
+    noise = 0.01 * random.standard_normal((2000, 80))
+    depth = course + noise
+    depth[:, 60:63] = np.nan
+    knobs = {"window_rows": 5, "window_frames": 1, "sigma_rows": 1.0}
+    found = filtering.smooth(depth, "bilateral", range_mm=0.06, **knobs)
+    assert np.array_equal(np.isfinite(found.depth_mm), np.isfinite(depth))
+    seen = np.isfinite(depth).all(axis=0)
+    bias = (found.depth_mm - course)[:, seen].mean(axis=0)
+    assert np.abs(bias).max() < 0.001  # five standard deviations of a mean over the frames
+    smeared = (filtering.smooth(depth, "gaussian", **knobs).depth_mm - course)[:, seen]
+    assert np.abs(smeared.mean(axis=0)).max() > 0.3
+    inner = [10, 25, 50, 55]
+    left = (found.depth_mm - course)[:, inner].std(axis=0)
+    assert left / 0.01 == pytest.approx(np.median(found.noise_factor[:, inner], axis=0), rel=0.06)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5])
+@pytest.mark.parametrize("frames", [1, 3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_factor_is_the_empirical_reduction(kind, frames, correlation):
+    """White and first-order autoregressive noise along the rows, in full windows and beside a gap: two-sided."""
+    random = np.random.default_rng(8)
+    white = random.standard_normal((2001, 64))
+    noise = lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], white, axis=1)
+    noise[:, 0:20] = np.nan  # also lets the autoregression forget its start
+    noise[:, 45] = np.nan
+    found = filtering.smooth(
+        250 + noise, kind, window_rows=5, window_frames=frames, sigma_rows=1.0, noise_correlation=correlation
+    )
+    inner = slice(frames, -frames)
+    # Formulas for medians of correlated values do not exist in closed form: 6 % of the standard deviation is allowed;
+    # means and Gaussians are exact.
+    slack = 0.06 if kind == "median" else 0.0
+    for row in (20, 21, 30, 44, 46, 47, 60):
+        spread = (found.depth_mm[inner, row] - 250).std()
+        claimed = found.noise_factor[inner, row]
+        if kind == "median":  # where noise looks like a slope, a little less is claimed
+            assert np.quantile(claimed, 0.75) < 1.1 * claimed.min()
+            claimed = [np.median(claimed)]
+        else:
+            assert np.ptp(claimed) == 0
+        low, high = mean_square_interval((2001 - 2 * frames) // frames)  # a window over frames correlates them
+        assert np.sqrt(low) * (1 - slack) < spread / claimed[0] < np.sqrt(high) * (1 + slack), row
+
+
+@pytest.mark.parametrize("kind", ["mean", "gaussian"])
+def test_a_step_between_neighbouring_rows_is_not_smeared_and_a_slope_is_still_smoothed(kind):
+    """Of 4 mm, without a missing row: two surfaces, one behind the other."""
+    random = np.random.default_rng(8)
+    row = np.arange(200)
+    truth = 250 + 0.5 * row + 4.0 * (row >= 100)
+    depth = truth + 0.03 * random.standard_normal((2000, 200))
+    made = filtering.smooth(depth, kind, **KNOBS, edge_mm=0.3)
+    bias = np.abs(made.depth_mm.mean(axis=0) - truth)
+    assert bias.max() < 5 * 0.03 / np.sqrt(2000)
+    smeared = filtering.smooth(depth, kind, **KNOBS)
+    assert np.abs(smeared.depth_mm.mean(axis=0) - truth).max() > 0.5
+    # Beside the step the claim grows to that of the point alone; elsewhere the window is whole.
+    claimed = made.noise_factor.mean(axis=0)
+    assert claimed[[99, 100]] == pytest.approx(1.0)
+    assert claimed[50] < 0.6
+    scatter = made.depth_mm.std(axis=0) / 0.03
+    assert scatter[[50, 98, 99, 100, 101]] == pytest.approx(claimed[[50, 98, 99, 100, 101]], rel=0.1)
