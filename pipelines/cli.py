@@ -238,10 +238,11 @@ def simulate(
     ] = None,
     rig: Annotated[str, typer.Option(help="Preset of the rig: bench, compact or wide")] = "bench",
     profile: Annotated[
-        list[str] | None, typer.Option(help="Nominal profile, S1002 or LMA; repeatable, cycled over the wheelsets")
+        list[str] | None,
+        typer.Option(help="Nominal profile (S1002, LMA, CONE20, CONE40); repeatable, cycled over the wheelsets"),
     ] = None,
-    frames: Annotated[int, typer.Option(min=4, help="Frames a turn")] = 120,
-    rows: Annotated[int, typer.Option(min=64, help="Image rows")] = 1024,
+    frames: Annotated[int, typer.Option(min=8, help="Frames a turn")] = 120,
+    rows: Annotated[int, typer.Option(min=128, help="Image rows")] = 1024,
     first_day: Annotated[str, typer.Option(metavar="YYYY-MM-DD", help="First day")] = "2025-04-05",
     span_days: Annotated[
         int | None, typer.Option(min=1, help="Spread the days over this many (150: the paper's five months)")
