@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.signal import lfilter
 from two_sided import mean_square_interval
 
-from wheelset_assets.metrology import filtering
+from wheelset_assets.metrology import filtering, grids
 
 KINDS = ("median", "mean", "gaussian")
 KNOBS = {"window_rows": 5, "window_frames": 1, "sigma_rows": 1.0}
@@ -206,6 +206,91 @@ def test_the_median_window_is_eq_14():
     for i in range(1, 11):
         for j in range(2, 28):
             assert found[i, j] == np.median(depth[i - 1 : i + 2, j - 2 : j + 3])
+
+
+def smoothed_slowly(depth, kind, half, sigma_rows, range_mm, edge_mm, correlation):
+    """Point by point along the rows, as the docstrings say: depth and noise factor."""
+    value, factor = np.full(depth.shape, np.nan), np.full(depth.shape, np.nan)
+    apart = depth[:, 1:-1] - (depth[:, 2:] + depth[:, :-2]) / 2
+    noise = 1.4826 * np.nanmedian(np.abs(apart - np.nanmedian(apart))) / np.sqrt(1.5)
+    for f, r in np.argwhere(np.isfinite(depth)):
+        weights, members = {0: 1.0}, {0: depth[f, r]}
+        for k in range(1, half + 1):
+            if r - k < 0 or r + k >= depth.shape[1] or not np.isfinite(depth[f, [r - k, r + k]]).all():
+                break
+            away = depth[f, [r - k, r + k]].mean() - depth[f, r]
+            if kind in ("mean", "gaussian") and abs(away) > edge_mm:
+                break
+            weight = 1.0 if kind in ("mean", "median") else np.exp(-((k / sigma_rows) ** 2) / 2)
+            weight *= np.exp(-((away / range_mm) ** 2) / 2) if kind == "bilateral" else 1.0
+            weights |= {-k: weight, k: weight}
+            members |= {-k: depth[f, r - k], k: depth[f, r + k]}
+        at, w, z = np.array(list(weights)), np.array(list(weights.values())), np.array(list(members.values()))
+        if kind != "median":
+            w = w / w.sum()
+            value[f, r] = w @ z
+            factor[f, r] = np.sqrt(w @ correlation ** np.abs(np.subtract.outer(at, at)) @ w)
+            continue
+        value[f, r] = np.median(z)
+        slope = (at @ z) / max((at**2).sum(), 1) / noise
+        flat = 4 / max((np.arange(-half, half + 1) ** 2).sum(), 1)
+        count = np.exp(-(at**2) * max(slope**2 - flat, 0) / 8).sum()
+        n = [int(np.floor(count)), int(np.floor(count)) + 1]
+        means = [correlation ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))) for m in n]
+        along = np.interp(count, n, [np.sqrt(m.mean()) for m in means])
+        factor[f, r] = min(1.0, np.sqrt(np.pi / 2 / (1 / along**2 + np.pi / 2 - 1)))
+    return value, factor
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "bilateral"])
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    missing=st.sampled_from([0.0, 0.03, 0.3]),
+    window=st.sampled_from([3, 5, 7, 9, 11]),
+    correlation=st.sampled_from([0.0, 0.5]),
+    block=st.sampled_from([1, 50, 10**6]),
+)
+def test_smoothing_is_the_slow_loop_whatever_the_blocks(kind, seed, missing, window, correlation, block):
+    """With gaps, a slope that differs by frame, and a step, which whole-array passes meet in one grid."""
+    random = np.random.default_rng(seed)
+    row = np.arange(34)
+    depth = 250 + random.uniform(0, 0.1, (5, 1)) * row + 4.0 * (row > 20) + 0.03 * random.standard_normal((5, 34))
+    depth[random.random(depth.shape) < missing] = np.nan
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(grids, "BLOCK_POINTS", block)
+        found = filtering.smooth(
+            depth, kind, window_rows=window, window_frames=1, sigma_rows=1.1, noise_correlation=correlation,
+            range_mm=0.06, edge_mm=0.3,
+        )  # fmt: skip
+    value, factor = smoothed_slowly(depth, kind, window // 2, 1.1, 0.06, 0.3, correlation)
+    assert np.allclose(found.depth_mm, value, rtol=0, atol=1e-11, equal_nan=True)
+    assert np.allclose(found.noise_factor, factor, rtol=0, atol=1e-11, equal_nan=True)
+    if kind == "median":
+        assert np.array_equal(found.depth_mm, value, equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "bilateral"])
+@pytest.mark.parametrize("frames", [1, 3])
+def test_blocks_change_no_bit(kind, frames, monkeypatch):
+    depth = profile(40, 120) + 0.03 * np.random.default_rng(21).standard_normal((40, 120))
+    depth[np.random.default_rng(22).random(depth.shape) < 0.02] = np.nan
+    made = []
+    for block in (1, 700, 10**9):
+        monkeypatch.setattr(grids, "BLOCK_POINTS", block)
+        made.append(filtering.smooth(depth, kind, window_rows=5, window_frames=frames, sigma_rows=1.0, edge_mm=0.3))
+        made[-1] = (made[-1].depth_mm, made[-1].noise_factor, filtering.outliers(depth, 5.0, 11))
+    for other in made[1:]:
+        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(made[0], other, strict=True))
+
+
+@pytest.mark.parametrize("count", filtering.EXCHANGES)
+def test_exchanges_put_the_median_in_the_middle(count):
+    """Of all patterns of zeros and ones, which is enough (0-1 principle); and one missing value makes it missing."""
+    pattern = np.arange(2**count) >> np.arange(count)[:, None] & 1
+    assert np.array_equal(filtering._median_of(list(pattern.astype(float))), np.median(pattern, axis=0))
+    holed = np.where(np.eye(count, dtype=bool), np.nan, np.arange(count)[:, None])
+    assert np.isnan(filtering._median_of(list(holed))).all()
 
 
 @pytest.mark.parametrize("kind", ["none", *KINDS])

@@ -53,6 +53,11 @@ def test_robust_scatter_is_scipys(grid):
         assert np.isnan(grids.robust_scatter(grid))
 
 
+@given(arrays(float, st.integers(1, 40), elements=st.floats(-1e3, 1e3)))
+def test_median_reordering_is_numpys_to_the_bit(flat):
+    assert grids.median_reordering(flat.copy()) == np.median(flat)
+
+
 def test_robust_scatter_of_normal_values_is_their_standard_deviation():
     found = grids.robust_scatter(np.random.default_rng(0).normal(5.0, 0.3, 40_000))
     assert found == pytest.approx(0.3, rel=3.3 * 1.1664 / np.sqrt(40_000))  # asymptotic efficiency 37 %
