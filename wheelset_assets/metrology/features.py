@@ -30,7 +30,10 @@ class Pairs:
 
     def only(self, keep: NDArray[np.bool_]) -> Pairs:
         """Those pairs for which `keep` (n,) is true."""
-        return Pairs(self.i[keep], self.j[keep], self.difference[keep], self.distance[keep])
+        at = np.flatnonzero(keep)
+        if len(at) == len(keep):
+            return self
+        return Pairs(self.i[at], self.j[at], self.difference.take(at, axis=0), self.distance[at])
 
     def within(self, radius: float) -> Pairs:
         """Those pairs that are no farther apart than a smaller radius."""

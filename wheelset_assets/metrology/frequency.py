@@ -84,8 +84,17 @@ def phase_correlation(
 
 
 def _spectrum(points: Array, weight: Array, k: Array) -> Array:
-    """Fourier transform (len(k), len(k)) of a weighted point set at all pairs of wave numbers."""
-    return (np.exp(-1j * np.outer(k, points[:, 0])) * weight) @ np.exp(-1j * np.outer(points[:, 1], k))
+    """Fourier transform (len(k), len(k)) of a weighted point set at all pairs of wave numbers k, which are as -k too."""
+    half = len(k) // 2  # where k is 0: the transform at -k is the conjugate of that at k
+    n = half + 1
+    lateral, radial = (np.concatenate([np.cos(p), np.sin(p)]) for p in (np.outer(k[half:], x) for x in points.T))
+    products = (lateral * weight) @ radial.T  # real ones take a quarter of the time of complex ones
+    cc, cs, sc, ss = products[:n, :n], products[:n, n:], products[n:, :n], products[n:, n:]
+    made = np.empty((len(k), len(k)), complex)
+    made.real[half:, half:], made.imag[half:, half:] = cc - ss, -(cs + sc)
+    made.real[half:, half::-1], made.imag[half:, half::-1] = cc + ss, cs - sc
+    made[:half] = made[:half:-1, ::-1].conj()
+    return made
 
 
 def _grid_peak(unit: Array, k: Array, centre: Array, reach: float, step: float) -> Array:

@@ -96,10 +96,11 @@ def to_grid(
     frame_index: NDArray[np.int64], row_index: NDArray[np.int64], shape: tuple[int, int], *columns: NDArray[np.floating]
 ) -> list[Array]:
     """Grids (frames, rows), NaN where there is no point, from columns of points at (frame_index, row_index)."""
-    at = frame_index * shape[1] + row_index
+    at = frame_index * shape[1]
+    at += row_index
     grids = []
     for column in columns:
         grid = np.full(shape[0] * shape[1], np.nan)
-        grid[at] = column
+        grid[at] = column.astype(float, copy=False)  # conversion on the way would take longer
         grids.append(grid.reshape(shape))
     return grids

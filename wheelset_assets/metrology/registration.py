@@ -122,19 +122,17 @@ def project_on_curve(points: Array, curve: Array, half_width_mm: float = 1.5, ha
     window = np.clip(nearest[:, None] + np.arange(-half_count, half_count + 1), 0, len(curve) - 1)
     repeated = np.zeros(window.shape, bool)
     repeated[:, 1:] = window[:, 1:] == window[:, :-1]
-    offset = curve[window] - curve[nearest][:, None, :]
-    distance = np.linalg.norm(offset, axis=2)
+    u, v = (curve[:, i][window] - curve[nearest, i][:, None] for i in (0, 1))
+    distance = np.sqrt(u * u + v * v)
     weight = np.where((distance < half_width_mm) & ~repeated, (1 - (distance / half_width_mm) ** 2) ** 2, 0.0)
-    tangent = _directions(offset, weight)
+    tangent = _directions(u, v, weight)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-    x = (offset * tangent[:, None, :]).sum(axis=2)
-    y = (offset * normal[:, None, :]).sum(axis=2)
-    basis = np.stack([np.ones_like(x), x, x * x], axis=2)
-    moments = np.einsum("nki,nk,nkj->nij", basis, weight, basis)
+    x = u * tangent[:, :1] + v * tangent[:, 1:]
+    y = u * normal[:, :1] + v * normal[:, 1:]
+    moments, right = _quadratic_equations(x, y, weight)
     count = (weight > 0).sum(axis=1)
     solvable = (count >= 7) & (np.linalg.cond(moments) < 1e10)
     coefficients = np.zeros((len(points), 3))
-    right = np.einsum("nki,nk,nk->ni", basis, weight, y)
     coefficients[solvable] = np.linalg.solve(moments[solvable], right[solvable][..., None])[..., 0]
     relative = points - curve[nearest]
     px, py = (relative * tangent).sum(axis=1), (relative * normal).sum(axis=1)
@@ -148,26 +146,42 @@ def project_on_curve(points: Array, curve: Array, half_width_mm: float = 1.5, ha
 
 def _nearest(points: Array, curve: Array) -> Index:
     nearest = np.empty(len(points), np.int64)
-    for start in range(0, len(points), 512):  # blocks bound the memory; curves have at most some thousand points
-        block = points[start : start + 512]
-        square = ((block[:, None, :] - curve[None, :, :]) ** 2).sum(axis=2)
-        nearest[start : start + 512] = square.argmin(axis=1)
+    x, y = np.ascontiguousarray(curve.T)
+    for start in range(0, len(points), 16):  # curves have at most some thousand points: blocks stay in the cache
+        part = points[start : start + 16]
+        square, other = part[:, :1] - x, part[:, 1:] - y
+        np.square(square, out=square)
+        np.square(other, out=other)
+        square += other
+        nearest[start : start + 16] = square.argmin(axis=1)
     return nearest
 
 
-def _directions(offset: Array, weight: Array) -> Array:
-    """Principal direction (n, 2) of each weighted neighbourhood, pointing along the order of the curve."""
+def _quadratic_equations(x: Array, y: Array, weight: Array) -> tuple[Array, Array]:
+    """Normal equations (n, 3, 3) and right sides (n, 3) of weighted quadratics y over x, each (n, k)."""
+    moments, right = np.empty((len(x), 3, 3)), np.empty((len(x), 3))
+    power = weight  # times x to the power of i + j
+    for order in range(5):
+        total = power.sum(axis=1)
+        for i in range(max(0, order - 2), min(order, 2) + 1):
+            moments[:, i, order - i] = total
+        if order < 3:
+            right[:, order] = np.einsum("nk,nk->n", power, y)
+        power = power * x
+    return moments, right
+
+
+def _directions(u: Array, v: Array, weight: Array) -> Array:
+    """Principal direction (n, 2) of each weighted neighbourhood (n, k), pointing along the order of the curve."""
     total = np.maximum(weight.sum(axis=1), 1e-12)
-    mean = (offset * weight[..., None]).sum(axis=1) / total[:, None]
-    centred = offset - mean[:, None, :]
-    sxx, syy, sxy = (
-        (weight * a).sum(axis=1)
-        for a in (centred[..., 0] ** 2, centred[..., 1] ** 2, centred[..., 0] * centred[..., 1])
-    )
+    mean_u, mean_v = (np.einsum("nk,nk->n", weight, a) / total for a in (u, v))
+    du, dv = u - mean_u[:, None], v - mean_v[:, None]
+    weighted_u, weighted_v = weight * du, weight * dv
+    sxx, syy, sxy = (np.einsum("nk,nk->n", *pair) for pair in ((weighted_u, du), (weighted_v, dv), (weighted_u, dv)))
     angle = 0.5 * np.arctan2(2 * sxy, sxx - syy)
     tangent = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    order = np.arange(offset.shape[1]) - offset.shape[1] // 2
-    along = (weight * order * (offset * tangent[:, None, :]).sum(axis=2)).sum(axis=1)
+    order = weight * (np.arange(u.shape[1]) - u.shape[1] // 2)
+    along = np.einsum("nk,nk->n", order, u) * tangent[:, 0] + np.einsum("nk,nk->n", order, v) * tangent[:, 1]
     return np.where(along[:, None] < 0, -tangent, tangent)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology import rigid
-from wheelset_assets.metrology.grids import nan_mean, nan_median
+from wheelset_assets.metrology.grids import blocks, nan_mean, nan_median
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -42,12 +42,16 @@ def to_meridian(
     not mistaken for height (rho = K + z holds only where the plane contains the axle).
     """
     m = rig_from_sensor
-    lateral = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-    across = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-    up = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+    lateral, across, up = (np.empty(x.shape) for _ in range(3))
+    for part in blocks(x.shape):
+        for made, row in ((lateral, m[0]), (across, m[1]), (up, m[2])):
+            here = row[0] * x[part]
+            here += row[1] * y[part]
+            here += row[2] * z[part]
+            np.add(here, row[3], out=made[part])
     seen = np.isfinite(across)
     direction = float(np.degrees(np.arctan2(up[seen].sum(), across[seen].sum()))) if seen.any() else float("nan")
-    return MeridianGrid(sensor_id, line, lateral, np.hypot(across, up), direction, u_mm)
+    return MeridianGrid(sensor_id, line, lateral, np.hypot(across, up, out=up), direction, u_mm)
 
 
 def meridian_motion(
@@ -90,18 +94,17 @@ def mean_meridian(
     a, r = lateral_mm[used], radial_mm[used]
     keep = np.isfinite(a)
     for values in (a, r):
-        about = nan_median(np.stack([np.roll(values, k, axis=0) for k in (-2, -1, 1, 2)]), axis=0)
-        alone = np.isnan(about)
-        if (alone & ~np.isnan(values)).any():
-            about = np.where(alone, nan_median(values, axis=0), about)
-        deviation = np.abs(values - about)
+        deviation = _from_frames_about(values)
         scatter = 1.4826 * nan_median(deviation, axis=0)
         with np.errstate(invalid="ignore"):
             keep &= deviation <= clip * np.maximum(scatter, 1e-6)
     groups = max(2, min(groups, len(a) // 3))
-    starts = [np.arange(g, len(a), groups) for g in range(groups)]
+    starts = [np.s_[g::groups] for g in range(groups)]
     count = np.stack([keep[i].sum(axis=0) for i in starts])
-    sums = [np.stack([np.where(keep[i], v[i], 0.0).sum(axis=0) for i in starts]) for v in (a, r)]
+    sums = []
+    for values in (a, r):
+        kept = np.where(keep, values, 0.0)
+        sums.append(np.stack([kept[i].sum(axis=0) for i in starts]))
     n = count.sum(axis=0)
     valid = n >= max(min_frames, 1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -109,9 +112,45 @@ def mean_meridian(
         mean_a, mean_r = (s.sum(axis=0) / total for s in sums)
         left = np.where(valid & (n - count > 0), n - count, np.nan)
         left_a, left_r = ((s.sum(axis=0) - s) / left for s in sums)
-        square = np.where(keep, (a - mean_a) ** 2 + (r - mean_r) ** 2, 0.0).sum(axis=0)
+        square = np.zeros(a.shape[1])
+        for part in blocks(a.shape):
+            away_a, away_r = a[part] - mean_a, r[part] - mean_r
+            np.square(away_a, out=away_a)
+            np.square(away_r, out=away_r)
+            away_a += away_r
+            np.copyto(away_a, 0.0, where=~keep[part])
+            away_a[0] += square  # frame after frame, as if there were no blocks
+            square = away_a.sum(axis=0)
         u = np.sqrt(square / np.where(n > 1, n - 1, np.nan) / total)
     return MeanMeridian(mean_a, mean_r, u, n, left_a, left_r)
+
+
+def _from_frames_about(values: Array) -> Array:
+    """Distance (frames, rows) of each point from the median of its row in the two frames before and the two after, round
+    the turn; from that of all frames where none of these saw it. NaN where the point is missing."""
+    n = len(values)
+    around = np.concatenate([values[np.arange(-2, 0) % n], values, values[np.arange(2) % n]])
+    deviation = np.empty(values.shape)
+    for part in blocks(values.shape):
+        a, b, c, d = (around[part.start + k : part.stop + k] for k in (0, 1, 3, 4))
+        # The middle two of four are the larger of both smaller ones and the smaller of both larger ones, of any two pairs.
+        low = np.minimum(a, b)
+        np.maximum(low, np.minimum(c, d), out=low)
+        high = np.maximum(a, b)
+        np.minimum(high, np.maximum(c, d), out=high)
+        low += high
+        low *= 0.5
+        low -= values[part]
+        np.abs(low, out=deviation[part])
+    frame, row = np.nonzero(np.isnan(deviation) & np.isfinite(values))
+    if frame.size:
+        about = nan_median(np.stack([around[frame + k, row] for k in (0, 1, 3, 4)]), axis=0)
+        alone = np.flatnonzero(np.isnan(about))
+        if alone.size:
+            columns, at = np.unique(row[alone], return_inverse=True)
+            about[alone] = nan_median(values[:, columns], axis=0)[at]
+        deviation[frame, row] = np.abs(values[frame, row] - about)
+    return deviation
 
 
 def grouped_meridians(lateral_mm: Array, radial_mm: Array, groups: int) -> tuple[Array, Array]:

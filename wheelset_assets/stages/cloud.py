@@ -45,18 +45,31 @@ def grids(cloud: pa.Table, n_frames: int) -> Iterator[CloudGrid]:
     columns = {name: cloud[name].to_numpy() for name in ("frame", "row", "x_mm", "y_mm", "z_mm", "u_depth_um")}
     for name in sorted(names):
         of_sensor = codes == names.index(name)
-        for number in np.flatnonzero(np.bincount(line[of_sensor])):
-            member = np.flatnonzero(of_sensor & (line == number))
+        if not of_sensor.any():
+            continue
+        lines = line[_members(of_sensor)]
+        for number in range(int(lines.min()), int(lines.max()) + 1):
+            of_line = of_sensor & (line == number)
+            if not of_line.any():
+                continue
+            member = _members(of_line)
             frame, row = columns["frame"][member].astype(np.int64), columns["row"][member].astype(np.int64)
             first = int(row.min())
-            present = np.flatnonzero(np.bincount(row - first))
+            row -= first
+            present = np.flatnonzero(np.bincount(row))
             step = int(np.gcd.reduce(np.diff(present))) if len(present) > 1 else 1
-            column = (row - first) // step
-            shape = (n_frames, int(column.max()) + 1)
-            x, y, z, u = to_grid(
-                frame, column, shape, *(columns[c][member] for c in ("x_mm", "y_mm", "z_mm", "u_depth_um"))
-            )
-            yield CloudGrid(name, int(number), first, step, x, y, z, u * 1e-3, frame, column)
+            column = row // step if step > 1 else row
+            shape = (n_frames, int(present[-1]) // step + 1)
+            u_mm = columns["u_depth_um"][member].astype(float)
+            u_mm *= 1e-3
+            x, y, z, u = to_grid(frame, column, shape, *(columns[f"{axis}_mm"][member] for axis in "xyz"), u_mm)
+            yield CloudGrid(name, number, first, step, x, y, z, u, frame, column)
+
+
+def _members(where: NDArray[np.bool_]) -> slice | NDArray[np.int64]:
+    """Index of the true elements, at least one: a slice if they follow each other, which takes no copy."""
+    first, last = int(where.argmax()), len(where) - 1 - int(where[::-1].argmax())
+    return slice(first, last + 1) if where[first : last + 1].all() else np.flatnonzero(where)
 
 
 def run_filtered_clouds(

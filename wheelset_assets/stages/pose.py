@@ -73,13 +73,21 @@ def run_features(
         points = _folded_patch(grid, config)
         if len(points) < 20:
             continue
-        normal = features.normals(points, config.normal_radius_mm, poses[name, line][:3, 3])
+        near, salient = config.normal_radius_mm, max(config.saliency_radius_mm, config.non_maximum_radius_mm)
+        pairs = features.neighbour_pairs(points, max(near, salient, config.descriptor_radius_mm))
+        normal = features.normals(points, near, poses[name, line][:3, 3], pairs.within(near))
         keypoints = features.iss_keypoints(
-            points, config.saliency_radius_mm, config.non_maximum_radius_mm, config.gamma_21, config.gamma_32
+            points,
+            config.saliency_radius_mm,
+            config.non_maximum_radius_mm,
+            config.gamma_21,
+            config.gamma_32,
+            pairs=pairs.within(salient),
         )
         known = np.isfinite(normal[keypoints.index]).all(axis=1) & _in_the_middle(points, keypoints.index)
         index = keypoints.index[known]
-        histogram = features.fpfh(points, normal, config.descriptor_radius_mm, index)
+        described = pairs.within(config.descriptor_radius_mm)
+        histogram = features.fpfh(points, normal, config.descriptor_radius_mm, index, pairs=described)
         parts.append(
             tables.FEATURES.from_columns(
                 {

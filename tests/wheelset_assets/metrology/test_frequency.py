@@ -15,6 +15,15 @@ def profile():
     return by_arc_length(s1002, -69.0, 60.0, 0.15)
 
 
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_the_spectrum_is_the_transform_written_out(count):
+    random = np.random.default_rng(3)
+    points, weight, k = random.normal(0, 5, (40, 2)), random.random(40), 0.4 * np.arange(-count, count + 1)
+    found = freq._spectrum(points, weight, k)
+    written = np.einsum("n,in,jn->ij", weight, *(np.exp(-1j * np.outer(k, column)) for column in points.T))
+    assert np.abs(found - written).max() < 1e-12
+
+
 @pytest.mark.parametrize("rho", [10.0, 100.0, 1000.0])
 @pytest.mark.parametrize("shift", [(-0.03, 0.05), (-0.3, 0.5), (7.0, -3.0), (0.0, 0.0), (25.0, 12.0)])
 def test_shifts_of_a_clean_profile_are_exact(profile, shift, rho):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from two_sided import assert_pulls, assert_unbiased
 
+from wheelset_assets.metrology import grids, rigid
 from wheelset_assets.metrology import revolution as rev
-from wheelset_assets.metrology import rigid
 
 # --- meridian coordinates
 
@@ -233,6 +233,38 @@ def test_mean_meridian_two_sided():
     assert_unbiased(along / found.u_mm)
     assert found.n_frames[7] == 8
     assert found.n_frames[50] == 47
+
+
+@given(
+    n=st.integers(1, 12),
+    missing=st.sampled_from([0.0, 0.2, 0.7]),
+    seed=st.integers(0, 2**32 - 1),
+    block=st.sampled_from([1, 6, 10**6]),
+)
+def test_the_frames_about_a_point_are_two_on_each_side_round_the_turn(n, missing, seed, block):
+    random = np.random.default_rng(seed)
+    values = random.normal(400, 1, (n, 3))
+    values[random.random(values.shape) < missing] = np.nan
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(grids, "BLOCK_POINTS", block)
+        found = rev._from_frames_about(values)
+    for frame, row in np.ndindex(values.shape):
+        around = values[[(frame + k) % n for k in (-2, -1, 1, 2)], row]
+        around = around[np.isfinite(around)] if np.isfinite(around).any() else values[:, row]
+        if np.isfinite(values[frame, row]):
+            assert found[frame, row] == abs(values[frame, row] - np.nanmedian(around))
+        else:
+            assert np.isnan(found[frame, row])
+
+
+def test_blocks_change_no_bit_of_a_mean_meridian(monkeypatch):
+    _, _, a, r = meridian_noise(np.random.default_rng(15), rows=40)
+    a[:9, 7], r[:9, 7] = np.nan, np.nan
+    made = []
+    for block in (1, 90, 10**9):
+        monkeypatch.setattr(grids, "BLOCK_POINTS", block)
+        made.append(vars(rev.mean_meridian(a, r, np.ones(len(a), bool))))
+    assert all(np.array_equal(made[0][k], other[k], equal_nan=True) for other in made[1:] for k in other)
 
 
 def test_jackknife_of_left_out_groups_is_the_uncertainty_of_the_mean():
