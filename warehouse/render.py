@@ -68,7 +68,7 @@ def document(report: Report) -> dict[str, Any]:
     """The report as one JSON document, of plain types."""
     return {
         "report": report.spec.name,
-        "title": report.spec.title,
+        "title": report.title,
         "parameters": dict(report.parameters),
         "notes": lead(report),
         "blocks": {
@@ -156,7 +156,7 @@ def _parquet(table: pa.Table) -> bytes:
 
 
 def _markdown(report: Report) -> str:
-    lines = [f"# {report.spec.title}", "", report.spec.about, ""]
+    lines = [f"# {_escaped(report.title)}", "", report.spec.about, ""]
     lines += [f"- {_escaped(line)}" for line in parameter_lines(report)]
     lines += [""] * bool(report.parameters)
     lines += [part for note in lead(report) for part in (f"**{_escaped(note)}**", "")]

@@ -13,6 +13,7 @@ UNITS = (
     ("_um_per_mm", "µm/mm", 4),
     ("_um_per_k", "µm/K", 2),
     ("_um", "µm", 2),
+    ("_px", "px", 3),
     ("_mm", "mm", 4),
     ("_c", "°C", 1),
     ("_days", "days", 1),
@@ -158,6 +159,10 @@ def _number(name: str, value: float) -> str:
         return f"{100 * value:.1f} %"
     if name.endswith("probability"):
         return "> 99.9 %" if value > 0.999 else "< 0.1 %" if value < 0.001 else f"{100 * value:.1f} %"
+    if name.endswith("coverage_ratio"):
+        return f"{100 * value:.1f} %"
+    if name == "standard_uncertainty":  # of anything, in whichever unit
+        return f"{value:.3g}"
     if name in ("change_ratio", "max_change_ratio"):
         return f"{value:.2f}"
     if name.endswith("_ratio"):

@@ -264,6 +264,7 @@ NEEDED: dict[str, dict[str, list[str]]] = {
         "sensors": ["calibration_id", "sensor_id", "nearest_mm", "farthest_mm"],
     },
     "profile": {"profile": ["side", "lateral_mm", "height_mm", "deviation_um"]},
+    "map": {"map": ["side", "angle_deg", "lateral_mm", "deviation_um"]},
     "polar": {"turns": ["series", "side", "angle_deg", "deviation_um", "roundness_um", "used"]},
 }
 PAINTERS: dict[str, Callable[[dict[str, list[Row]], str], Drawing]] = {
@@ -276,5 +277,6 @@ PAINTERS: dict[str, Callable[[dict[str, list[Row]], str], Drawing]] = {
     "history": service.history,
     "polar": service.polar,
     "profile": service.profile,
+    "map": service.deviation_map,
     "residuals": calibration.residuals,
 }

@@ -144,6 +144,33 @@ def profile(rows: dict[str, list[Row]], salt: str) -> Drawing:
     return Drawing((Group("", tuple(panels)),) if panels else ())
 
 
+def deviation_map(rows: dict[str, list[Row]], salt: str) -> Drawing:
+    """Each wheel unrolled: angle along, lateral place across, deviation as colour."""
+    from matplotlib.figure import Figure
+
+    panels = []
+    for index, (key, bins) in enumerate(by(rows["map"], "side").items()):
+        angle, lateral, deviation = (column(bins, name) for name in ("angle_deg", "lateral_mm", "deviation_um"))
+        angles, across = np.unique(angle), np.unique(lateral)
+        if len(angles) < 2 or len(across) < 2:
+            continue
+        shown = np.full((len(across), len(angles)), np.nan)
+        shown[np.searchsorted(across, lateral), np.searchsorted(angles, angle)] = deviation
+        reach = float(np.nanquantile(np.abs(deviation), 0.99)) or 1.0
+        figure = Figure(figsize=(6.6, 2.7), layout="constrained")
+        axes = figure.add_subplot()
+        drawn = axes.pcolormesh(
+            angles, across, shown, cmap="RdBu_r", vmin=-reach, vmax=reach, shading="nearest", rasterized=True
+        )
+        axes.set_xticks(np.arange(0, 361, 60))
+        axes.set_xlabel("angle of the turn (°)")
+        axes.set_ylabel("from the datum circle (mm)")
+        figure.colorbar(drawn, ax=axes, label="deviation (µm)")
+        alt = f"Deviation map of the {key[0]} wheel, {len(angles)} by {len(across)} bins"
+        panels.append(Panel(f"{key[0]} wheel", alt, svg(figure, f"{salt}-{index}")))
+    return Drawing((Group("", tuple(panels)),) if panels else ())
+
+
 def _polar_axes() -> tuple[Figure, PolarAxes]:
     from matplotlib.figure import Figure
 

@@ -39,7 +39,7 @@ def site(
         path = out / f"{name}.html"
         render(report, "html", path)
         written.append(path)
-        entries.append({"file": path.name, "title": report.spec.title, "about": report.spec.about})
+        entries.append({"file": path.name, "title": report.title, "about": report.spec.about})
         if progress:
             progress(done + 1, total, name)
     links: dict[str, str] = {}

@@ -31,8 +31,8 @@ def terminal(report: Report, width: int | None = None) -> str:
     def say(words: str) -> None:
         console.print(Text(words))
 
-    say(report.spec.title)
-    say("=" * min(width, len(report.spec.title)))
+    say(report.title)
+    say("=" * min(width, len(report.title)))
     for line in (report.spec.about, *parameter_lines(report), *lead(report)):
         say(line)
     for block in report.blocks.values():

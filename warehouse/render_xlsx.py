@@ -29,7 +29,7 @@ def workbook(report: Report) -> bytes:
     book = Workbook()
     about: Worksheet = book.active
     about.title = "about"
-    lines = [report.spec.title, report.spec.about, *parameter_lines(report), *lead(report)]
+    lines = [report.title, report.spec.about, *parameter_lines(report), *lead(report)]
     for block in report.blocks.values():
         lines += ["", f"{block.spec.name}: {block.spec.title} ({block.query.file})", block.query.answers]
         lines += [f"    {name}: {meaning}" for name, meaning in block.query.meanings.items()]

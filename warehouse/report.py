@@ -64,6 +64,13 @@ class Report:
     notes: tuple[str, ...] = field(default=())
 
     @property
+    def title(self) -> str:
+        """Title of this report, with the wheelset that a page of one is about."""
+        one = self.parameters.get("wheelset_id") if self.spec.name == "wheelset" else None
+        shown = "".join(letter if letter.isprintable() else " " for letter in str(one or ""))
+        return f"{self.spec.title} {shown}".rstrip()
+
+    @property
     def is_empty(self) -> bool:
         """Whether there was nothing to report on."""
         return self.blocks[self.spec.main].table.num_rows == 0

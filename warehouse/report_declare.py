@@ -17,6 +17,7 @@ FigureKind = Literal[
     "history",
     "polar",
     "profile",
+    "map",
     "cells",
     "residuals",
 ]

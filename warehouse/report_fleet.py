@@ -16,6 +16,7 @@ FLEET = ReportSpec(
     main="turning",
     order=(
         "turning",
+        "unseen",
         "last_night",
         "forecasts",
         "differences",
@@ -108,13 +109,20 @@ FLEET = ReportSpec(
             limit=40,
         ),
         BlockSpec(
+            name="unseen",
+            sql="fleet/unseen.sql",
+            title="Limits that a rig cannot check",
+            empty="Every value with a limit was given at least once.",
+            n_keys=3,
+        ),
+        BlockSpec(
             name="turning",
             sql="fleet/turning.sql",
             title="To be turned",
             says=(
                 "Probability: that the deciding value is beyond its limit by the end of the week; where nothing is to "
                 "be done, that the value nearest to a limit keeps it. Measure again: nothing is beyond its limit, but "
-                "the last scan did not give every value that has one."
+                "the last scan did not give every value that has one and that its rig can give."
             ),
             empty="No wheelset.",
             shown=(
@@ -181,7 +189,7 @@ FLEET = ReportSpec(
             sql="fleet/last_night.sql",
             title="What failed on the last day",
             empty="Nothing failed: every scan gave all its values.",
-            shown=("scan_id", "wheelset_id", "captured_at", "what", "stage", "reason", "recording"),
+            shown=("what", "n_scans", "scan_id", "wheelset_id", "rig_id", "stage", "reason", "recording"),
             n_keys=1,
         ),
         BlockSpec(

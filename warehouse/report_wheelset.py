@@ -12,7 +12,7 @@ WHEELSET = ReportSpec(
         "to be. U leaves no doubt where it says conform or not conform; undecided means: within U of the limit."
     ),
     main="values",
-    order=("advice", "values", "profile", "runs", "history", "outlook", "budget", "provenance", "turns"),
+    order=("advice", "values", "profile", "map", "runs", "history", "outlook", "budget", "provenance", "turns"),
     nothing="This wheelset has no production measurement yet.",
     steps=(
         SERVICE_VALUES,
@@ -21,6 +21,7 @@ WHEELSET = ReportSpec(
         ("fleet_trends", "fleet/trends.sql"),
         ("fleet_state", "fleet/state.sql"),
         ("fleet_forecasts", "fleet/forecasts.sql"),
+        ("fleet_unseen", "fleet/unseen.sql"),
         ("fleet_turning", "fleet/turning.sql"),
     ),
     blocks=(
@@ -50,7 +51,7 @@ WHEELSET = ReportSpec(
                 "conform_probability",
                 "quality_flags",
                 "reason",
-                "source",
+                "limit_set",
             ),
             limit=200,
         ),
@@ -69,6 +70,15 @@ WHEELSET = ReportSpec(
             empty="No profile is stored for this scan.",
             shown=("side", "lateral_mm", "height_mm", "deviation_um", "n"),
             limit=12,
+        ),
+        BlockSpec(
+            name="map",
+            sql="wheelset/map.sql",
+            title="Deviation map",
+            says="From the wheel's own mean meridian, not from the nominal profile.",
+            empty="No map is stored for this scan.",
+            shown=("side", "angle_deg", "lateral_mm", "deviation_um", "n"),
+            limit=8,
         ),
         BlockSpec(
             name="runs",
@@ -155,6 +165,14 @@ WHEELSET = ReportSpec(
             says="Mean over the turn; deviation along the nominal's normal, positive for more metal.",
             legend=(("blue", "measured"), ("line", "nominal")),
             after="profile",
+        ),
+        FigureSpec(
+            name="map",
+            kind="map",
+            title="Wheels of the last scan, unrolled",
+            says="Red is more metal than the mean of the turn, blue less; the scale holds 99 % of the surface, white was not seen.",
+            legend=(),
+            after="map",
         ),
         FigureSpec(
             name="polar",

@@ -10,6 +10,7 @@ import pytest
 from report_data import UTC, at, failed, measurement, warehouse
 from scipy import stats
 
+from warehouse.render_figures import draw
 from warehouse.report import Report, build
 from wheelset_assets.quality import ConfigError
 
@@ -213,3 +214,56 @@ def test_the_profile_is_drawn_beside_the_nominal() -> None:
     assert sum(row["n"] for row in found) == lateral.size
     at_datum = next(row for row in found if row["lateral_mm"] == 0)
     assert at_datum["height_mm"] == pytest.approx(0.7, abs=0.003)
+
+
+def test_what_a_rig_never_sees_is_no_reason_to_measure_again() -> None:
+    def scans(n: int, given: int) -> list[dict[str, Any]]:
+        return [
+            row
+            for k in range(n)
+            for row in (
+                measurement(f"s{k:02}", "flange_height", "left", 28.0, wheelset_id="w", captured_at=at(4, k + 1)),
+                measurement(
+                    f"s{k:02}",
+                    "rim_width",
+                    "left",
+                    135.0 if k < given else None,
+                    wheelset_id="w",
+                    captured_at=at(4, k + 1),
+                ),
+            )
+        ]
+
+    never = fleet(scans(10, 0))
+    assert action(never) == {"w": "none"}
+    assert [(row["quantity"], row["n_scans"]) for row in rows(never, "unseen")] == [("rim_width", 10)]
+    for seldom in (fleet(scans(9, 0)), fleet(scans(10, 1))):
+        assert action(seldom) == {"w": "measure again"}
+        assert rows(seldom, "unseen") == []
+
+
+def test_values_missing_for_one_reason_are_one_line() -> None:
+    day = at(4, 1)
+    missing = [measurement(f"s{k}", "qr", "left", None, wheelset_id=f"w{k}", captured_at=day) for k in range(5)]
+    given = [measurement("old", "qr", "left", 10.8, wheelset_id="w0", captured_at=at(3, 1))]
+    given += [measurement("s0", "qr", "right", 10.8, wheelset_id="w0", captured_at=day)]
+    (row,) = rows(fleet(missing, given), "last_night")
+    assert (row["what"], row["n_scans"], row["scan_id"], row["given_before"]) == ("qr left", 5, "s4", True)
+
+
+def test_the_surface_is_drawn_unrolled() -> None:
+    bins = [
+        {"scan_id": "w-90", "station": "lw", "angle_deg": angle, "from_inner_face_mm": place, "n_points": n}
+        | {"deviation_um": 10.0 * n}
+        for angle, n in ((0.5, 1), (1.5, 3), (3.0, 2))
+        for place in (68.25, 69.75, 71.25)
+    ]
+    stations = [{"scan_id": "w-90", "station": "lw", "side": "left"}]
+    tables = {"tread_maps": bins, "alignments": stations}
+    report = build(warehouse(worn("w", [30.1], [90]), others=tables), "wheelset", {"wheelset_id": "w"})
+    found = {(row["angle_deg"], row["lateral_mm"]): row["deviation_um"] for row in rows(report, "map")}
+    assert len(found) == 6
+    assert found[1.25, -1.75] == pytest.approx((10 * 1 + 30 * 3) / 4)  # weighted by the points of each bin
+    assert found[3.75, 1.25] == pytest.approx(20)
+    (drawing,) = [draw(report, figure) for figure in report.spec.figures if figure.name == "map"]
+    assert [panel.title for group in drawing.groups for panel in group.panels] == ["left wheel"]

@@ -18,7 +18,7 @@
 -- limit_value: the limit
 -- unit: unit of the values
 -- n_limits: limits that were looked at
--- n_without_value: values with a limit of any kind in the fleet that this wheelset's last scan did not give
+-- n_without_value: values with a limit of any kind in the fleet that this wheelset's last scan did not give though its rig can
 -- last_on: day of its last scan with a value
 -- age_days: days since then
 -- trainset: trainset
@@ -80,8 +80,12 @@ missing AS (
         SELECT *
         FROM service_values
         QUALIFY rank() OVER (PARTITION BY wheelset_id ORDER BY captured_at DESC, scan_id DESC) = 1
-    )
+    ) AS last_scan
     WHERE value IS NULL AND quantity IN (SELECT quantity FROM limits)
+        AND NOT EXISTS (
+            FROM fleet_unseen AS unseen
+            WHERE unseen.rig_id = last_scan.rig_id AND unseen.quantity = last_scan.quantity AND unseen.side = last_scan.side
+        )
     GROUP BY wheelset_id
 )
 

@@ -7,7 +7,7 @@
 -- because: the deciding value against its limit
 -- outlook: when the trend reaches the limit
 -- n_limits: limits that were looked at
--- n_without_value: values with a limit that the last scan did not give
+-- n_without_value: values with a limit that the last scan did not give though its rig can
 -- last_on: day of the last scan with a value
 -- trainset: trainset
 -- car: car

@@ -13,7 +13,8 @@
 -- limit_max: largest permitted value
 -- verdict: conform, not_conform or undecided (ISO 14253-1); null where no limit applies
 -- conform_probability: probability that the true value keeps the limits
--- source: where the limit is from
+-- limit_set: file that the limit comes from
+-- source: where that has it from
 -- quality_flags: conditions under which the value stands
 -- reason: why there is no value
 -- scan_id: scan that gave the value
@@ -30,6 +31,7 @@ SELECT
     verdicts.limit_max,
     verdicts.verdict,
     verdicts.p_conform AS conform_probability,
+    verdicts.limit_set,
     verdicts.source,
     array_to_string(here.quality_flags, ', ') AS quality_flags,
     here.reason,
