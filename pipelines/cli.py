@@ -427,16 +427,21 @@ def sql(
 ) -> int:
     """Ask the warehouse: one read-only query; without one, on a terminal, a shell with history and completion.
 
+    A query may also come through a pipe. `.tables` and `.schema VIEW` tell what there is.
     `--set since=2025-04-01` narrows the reports' views (since, until, rig_id, wheelset_id).
     """
     from pipelines.ask import ask
 
-    if query is None and file is None and sys.stdin.isatty():
-        from pipelines.shell import interactive
+    if query is not None and file is not None:
+        raise ConfigError("sql: expected either a query or --file FILE, not both")
+    if query is None and file is None:
+        if sys.stdin.isatty():
+            from pipelines.shell import interactive
 
-        return interactive(settings(inbox, warehouse, config).warehouse)
-    if (query is None) == (file is None):
-        raise ConfigError("sql: expected either a query or --file FILE (a shell opens on a terminal only)")
+            return interactive(settings(inbox, warehouse, config).warehouse)
+        query = sys.stdin.read()
+        if not query.strip():
+            raise ConfigError("sql: no query; give one as an argument, by --file FILE, or through a pipe")
     if file is not None:
         try:
             query = file.read_text(encoding="utf-8")
@@ -444,6 +449,11 @@ def sql(
             raise ConfigError(f"--file {file}: cannot be read: {error}") from error
     assert query is not None
     root = settings(inbox, warehouse, config).warehouse
+    if query.lstrip().startswith("."):
+        from pipelines.shell import Shell
+
+        Shell(root).command(query.split())
+        return 0
     return ask(root, query, "json" if as_json else format_, out, _variables(set_ or []))
 
 

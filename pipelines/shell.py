@@ -5,6 +5,7 @@ Every statement goes through the same read-only gate as `wheelset sql "…"`.
 
 from __future__ import annotations
 
+import difflib
 import re
 import sys
 from collections.abc import Callable, Iterable
@@ -63,7 +64,7 @@ class Shell:
             return True
         if not self.pending and text.lstrip().startswith("."):
             try:
-                return self._command(text.split())
+                return self.command(text.split())
             except ConfigError as error:
                 self.write(str(error))
                 return True
@@ -81,7 +82,8 @@ class Shell:
         except ConfigError as error:
             self.write(str(error))
 
-    def _command(self, words: list[str]) -> bool:
+    def command(self, words: list[str]) -> bool:
+        """Do what a line that begins with a dot says; False for the end of the session, ConfigError if it is wrong."""
         name, given = words[0], words[1:]
         if name in (".quit", ".exit", ".q"):
             return False
@@ -111,8 +113,9 @@ class Shell:
 
     def _schema(self, view: str | None) -> None:
         if view not in self.columns:
-            known = ", ".join(sorted(self.columns))
-            raise ConfigError(f".schema: expected a view; there are {known}")
+            close = difflib.get_close_matches(view or "", sorted(self.columns), n=3, cutoff=0.4)
+            hint = f"; did you mean {', '.join(close)}?" if close else ""
+            raise ConfigError(f".schema: expected a view that .tables lists; found {view or 'none'}{hint}")
         width = max(len(column) for column, _, _ in self.columns[view])
         kinds = max(len(kind) for _, kind, _ in self.columns[view])
         for column, kind, meaning in self.columns[view]:

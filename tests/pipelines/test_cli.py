@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -384,7 +385,9 @@ def test_queries_that_write_reach_out_or_are_wrong(wheelset: Caller, places: Cam
     assert state_of(places.warehouse) == before
 
 
-def test_queries_in_every_format(wheelset: Caller, places: Campaign, tmp_path: Path) -> None:
+def test_queries_in_every_format(
+    wheelset: Caller, places: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     query = (
         "SELECT scan_id, captured_at, acquired_on, value, quality_flags, {'a': 1.5} AS struct, sum(1) OVER () AS n, 0.5 AS share, "
         "'nan'::DOUBLE AS nan, NULL AS nothing, INTERVAL 1 DAY AS span FROM measurements WHERE value IS NOT NULL ORDER BY ALL LIMIT 2"
@@ -421,9 +424,16 @@ def test_queries_in_every_format(wheelset: Caller, places: Campaign, tmp_path: P
         ("FROM scan_status",),
     ):
         assert wheelset("sql", *words, *there).code == 0, words
+    monkeypatch.setattr(sys, "stdin", io.StringIO(" "))
     for words in ((query, "--format", "xml"), (query, "--file", file), (), ("--file", tmp_path / "no.sql")):
         assert wheelset("sql", *words, *there).code == 2, words
     assert wheelset("sql", query, *there, "--out", tmp_path / "q.sql" / "x").code == 2
+    monkeypatch.setattr(sys, "stdin", io.StringIO("SELECT 1 AS a"))
+    assert wheelset("sql", *there, "--json").json == [{"a": 1}]
+    assert "scan_id" in wheelset("sql", ".schema measurements", *there).out
+    wrong = wheelset("sql", ".schema measurement", *there)
+    assert wrong.code == 2
+    assert "did you mean measurements" in wrong.err
 
 
 def test_reports(wheelset: Caller, places: Campaign, tmp_path: Path) -> None:
