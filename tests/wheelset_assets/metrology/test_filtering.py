@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.signal import lfilter
 from two_sided import mean_square_interval
 
-from wheelset_assets.metrology import filtering, grids
+from wheelset_assets.metrology import filtering, grids, window_median
 
 KINDS = ("median", "mean", "gaussian")
 KNOBS = {"window_rows": 5, "window_frames": 1, "sigma_rows": 1.0}
@@ -284,13 +284,13 @@ def test_blocks_change_no_bit(kind, frames, monkeypatch):
         assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(made[0], other, strict=True))
 
 
-@pytest.mark.parametrize("count", filtering.EXCHANGES)
+@pytest.mark.parametrize("count", window_median.EXCHANGES)
 def test_exchanges_put_the_median_in_the_middle(count):
     """Of all patterns of zeros and ones, which is enough (0-1 principle); and one missing value makes it missing."""
     pattern = np.arange(2**count) >> np.arange(count)[:, None] & 1
-    assert np.array_equal(filtering._median_of(list(pattern.astype(float))), np.median(pattern, axis=0))
+    assert np.array_equal(window_median._median_of(list(pattern.astype(float))), np.median(pattern, axis=0))
     holed = np.where(np.eye(count, dtype=bool), np.nan, np.arange(count)[:, None])
-    assert np.isnan(filtering._median_of(list(holed))).all()
+    assert np.isnan(window_median._median_of(list(holed))).all()
 
 
 @pytest.mark.parametrize("kind", ["none", *KINDS])

@@ -1,0 +1,139 @@
+"""Weighted windows on the organised grid, paper eq. 15-17: pairs of neighbours about a point, and what noise they leave.
+
+No window medians (window_median) and no choice among filters (filtering.smooth).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wheelset_assets.metrology.grids import blocks
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Smoothed depth (frames, rows), and the factor (frames, rows) by which the noise's standard deviation changed."""
+
+    depth_mm: Array
+    noise_factor: Array
+
+
+def full_kernel(weights: Array) -> Array:
+    kernel = np.concatenate([weights[::-1], [1.0], weights])
+    return kernel / kernel.sum()
+
+
+def noise_factor(kernel: Array, correlation: float) -> float:
+    lags = np.abs(np.subtract.outer(np.arange(len(kernel)), np.arange(len(kernel))))
+    return float(np.sqrt(kernel @ (correlation**lags) @ kernel))
+
+
+def paired_mean(values: Array, weights: Array, factors: Array, axis: int, edge: float) -> tuple[Array, Array]:
+    """Weighted mean of each point and its mirrored pairs of neighbours along an axis, and the factor (k,) for the number
+    of pairs that entered before a gap or an edge; both NaN where the point is missing."""
+    mean, factor = np.empty(values.shape), np.empty(values.shape)
+    totals = np.cumsum(np.concatenate([[1.0], 2 * weights]))
+    for part in blocks(values.shape, 1 - axis):
+        at = (part, slice(None)) if axis else (slice(None), part)
+        mean[at], factor[at] = _paired_mean_of_block(values[at], weights, totals, factors, axis, edge)
+    return mean, factor
+
+
+def _paired_mean_of_block(
+    values: Array, weights: Array, totals: Array, factors: Array, axis: int, edge: float
+) -> tuple[Array, Array]:
+    n = values.shape[axis]
+    total, connected = values.copy(), np.isfinite(values)
+    seen, support = connected, np.zeros(values.shape, np.int8)
+    for k, w in enumerate(weights, start=1):
+        if 2 * k >= n:
+            break
+        middle, before, after = _along(axis, k, n - k), _along(axis, 0, n - 2 * k), _along(axis, 2 * k, n)
+        pair = values[after] + values[before]
+        away = 0.5 * pair
+        away -= values[middle]
+        np.abs(away, out=away)
+        with np.errstate(invalid="ignore"):
+            joined = away <= edge  # false where one is missing
+        joined &= connected[middle]
+        pair *= w
+        np.copyto(pair, 0.0, where=~joined)
+        total[middle] += pair
+        support[middle] += joined
+        connected = np.zeros(values.shape, bool)
+        connected[middle] = joined
+    total /= totals.take(support)
+    factor = factors.take(support)
+    np.copyto(factor, np.nan, where=~seen)
+    return total, factor
+
+
+def _along(axis: int, start: int, stop: int) -> tuple[slice, slice]:
+    """Index of a grid that takes a part of one axis and all of the other."""
+    return (slice(start, stop), slice(None)) if axis == 0 else (slice(None), slice(start, stop))
+
+
+def bilateral(values: Array, half: int, sigma_rows: float, range_mm: float, correlation: float) -> Smoothed:
+    """Pairs about each point, weighted by distance and by the agreement of their mean with the point.
+
+    A slope has pairs that agree, whatever its steepness; an edge or a curve has not. The noise factor takes the weights
+    as given: they depend a little on the noise itself.
+    """
+    # Covariance of the weighted values, by how far they lie from the point: both sides of both.
+    order = np.arange(half + 1)
+    joint = 2 * (correlation ** np.abs(np.subtract.outer(order, order)) + correlation ** np.add.outer(order, order))
+    joint[0] = 2 * correlation**order
+    joint[:, 0], joint[0, 0] = joint[0], 1.0
+    mean, factor = np.empty(values.shape), np.empty(values.shape)
+    for part in blocks(values.shape):
+        mean[part], factor[part] = _bilateral_block(values[part], sigma_rows, range_mm, joint)
+    return Smoothed(mean, factor)
+
+
+def _bilateral_block(values: Array, sigma_rows: float, range_mm: float, joint: Array) -> tuple[Array, Array]:
+    n, half = values.shape[1], len(joint) - 1
+    total, weight = values.copy(), np.ones(values.shape)
+    variance = np.ones(values.shape)
+    connected = np.isfinite(values)
+    kept: list[Array] = []
+    for k in range(1, half + 1):
+        w, pair = np.zeros(values.shape), np.zeros(values.shape)
+        joined = np.zeros(values.shape, bool)
+        if 2 * k < n:
+            middle = slice(k, n - k)
+            near = values[:, 2 * k :] + values[:, : n - 2 * k]
+            near *= 0.5
+            joined[:, middle] = connected[:, middle] & np.isfinite(near)
+            away = near - values[:, middle]
+            away /= range_mm
+            np.square(away, out=away)
+            away *= -0.5
+            away -= 0.5 * (k / sigma_rows) ** 2
+            np.exp(away, out=away)
+            gone = ~joined[:, middle]
+            np.copyto(away, 0.0, where=gone)
+            np.copyto(near, 0.0, where=gone)
+            w[:, middle], pair[:, middle] = away, near
+        connected = joined
+        pair *= w
+        pair *= 2.0
+        total += pair
+        weight += 2 * w
+        variance += (2 * joint[0, k]) * w
+        for i, other in enumerate(kept, start=1):
+            if joint[i, k]:
+                variance += (2 * joint[i, k]) * (w * other)
+        variance += joint[k, k] * (w * w)
+        kept.append(w)
+    total /= weight
+    np.sqrt(variance, out=variance)
+    variance /= weight
+    np.copyto(variance, np.nan, where=np.isnan(total))
+    return total, variance
