@@ -331,6 +331,14 @@ def report(
         str | None,
         typer.Option("--block", help="Table of the report that csv or parquet holds, instead of its main one"),
     ] = None,
+    as_of: Annotated[
+        str | None,
+        typer.Option(
+            "--as-of",
+            metavar="MOMENT",
+            help="With the measurements as they were then, before later reprocessing: a day (its end) or an ISO time",
+        ),
+    ] = None,
     pairs: Annotated[
         Path | None,
         typer.Option(
@@ -348,7 +356,22 @@ def report(
 
     given = {"wheelset_id": wheelset, "rig_id": rig, "scan_id": scan, "since": since, "until": until}
     s = settings(inbox, warehouse, config)
-    return write_report(s, name, "json" if as_json else format_, out, pairs, given, block)
+    return write_report(s, name, "json" if as_json else format_, out, pairs, given, block, _past_moment(as_of))
+
+
+def _past_moment(text: str | None) -> datetime | None:
+    """A moment in local time unless it says its own; a day alone means its end."""
+    if text is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ConfigError(
+            f"--as-of {text!r}: expected a day or a time, such as 2026-03-01 or 2026-03-01T06:00+01:00"
+        ) from error
+    if len(text) == len("2026-03-01"):
+        moment += timedelta(days=1, microseconds=-1)
+    return moment.astimezone()
 
 
 @app.command()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -237,24 +238,33 @@ def write_report(
     pairs: Path | None,
     parameters: dict[str, str | None] | None = None,
     block: str | None = None,
+    moment: datetime | None = None,
 ) -> int:
-    """Compute a report and write it in a format; `all` writes a site."""
-    from pipelines.ask import open_read_only
+    """Compute a report, of the measurements of a moment if one is given, and write it in a format; `all` writes a site."""
     from warehouse import report
+
+    parameters = dict(parameters or {}) | ({} if moment is None else {"as_of": moment.isoformat()})
 
     if pairs is not None:
         if name != "accuracy":
             raise ConfigError(f"--pairs: goes with report accuracy; found {name!r}")
         made = report.accuracy_from_pairs(pairs)
     elif name == "all":
-        return _write_site(s, format_, out, parameters or {})
+        return _write_site(s, format_, out, parameters, moment)
     else:
         if name not in report.REPORTS:
             raise ConfigError(f"report {name!r}: expected one of {', '.join(report.REPORTS)}, or all")
-        connection = open_read_only(s.warehouse)
-        _check_known(connection, parameters or {})
-        made = report.build(connection, name, parameters or {})
+        connection = _connection(s, moment)
+        _check_known(connection, parameters)
+        made = report.build(connection, name, parameters)
     return _deliver(made, format_, out, block)
+
+
+def _connection(s: Settings, moment: datetime | None) -> Any:
+    from pipelines.ask import open_read_only
+    from warehouse import catalog
+
+    return open_read_only(s.warehouse) if moment is None else catalog.as_of(s.warehouse, moment)
 
 
 def write_diff(s: Settings, version_a: str, version_b: str, format_: str, out: Path | None) -> int:
@@ -296,9 +306,10 @@ def _check_known(connection: Any, parameters: dict[str, str | None]) -> None:
                 )
 
 
-def _write_site(s: Settings, format_: str, out: Path | None, parameters: dict[str, str | None]) -> int:
+def _write_site(
+    s: Settings, format_: str, out: Path | None, parameters: dict[str, str | None], moment: datetime | None
+) -> int:
     """The reports as a folder of pages, or of files in another format."""
-    from pipelines.ask import open_read_only
     from pipelines.progress import Bars
     from warehouse import report
     from warehouse.render import render
@@ -308,7 +319,7 @@ def _write_site(s: Settings, format_: str, out: Path | None, parameters: dict[st
         raise ConfigError("report all: name the folder to write by --out")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: expected a folder")
-    connection = open_read_only(s.warehouse)
+    connection = _connection(s, moment)
     _check_known(connection, parameters)
     if format_ not in ("table", "html"):
         for name in report.REPORTS:

@@ -7,6 +7,8 @@ reader sees one consistent state of the warehouse. Paths in it are absolute; aft
 from __future__ import annotations
 
 import hashlib
+import json
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     import duckdb
 
 NAME = "warehouse.duckdb"
+COLLECTED = "_catalog/collected.json"
 _SQL_TYPES = {
     "bool": "BOOLEAN",
     "int8": "TINYINT",
@@ -98,6 +101,36 @@ def open_built(root: Path) -> duckdb.DuckDBPyConnection:
     return connection
 
 
+def as_of(root: Path, moment: datetime) -> duckdb.DuckDBPyConnection:
+    """The catalog in memory with the measurements that were current at a moment, so that a report can be made as it was.
+
+    Scan states, reviews and limits are those of now. ConfigError if superseded values of then were collected since.
+    """
+    import duckdb
+
+    connect(root).close()
+    records = _all_records(Ledger(root))
+    until = collected_until(root)
+    if until is not None and moment < until:
+        raise ConfigError(
+            f"--as-of {moment.isoformat()}: values that were superseded up to {until.isoformat()} have been collected "
+            "(`wheelset gc`); reports reach back to then"
+        )
+    connection = duckdb.connect(":memory:")
+    if place.is_remote(root):
+        _read_remote(connection, root)
+    _fill(connection, root.resolve(), records, _facts(root), moment)
+    return connection
+
+
+def collected_until(root: Path) -> datetime | None:
+    """When the latest of the measurements that were collected was superseded; None if none ever was."""
+    try:
+        return datetime.fromisoformat(json.loads((root / COLLECTED).read_text())["until"])
+    except FileNotFoundError:
+        return None
+
+
 def _read_remote(connection: duckdb.DuckDBPyConnection, root: Path) -> None:
     """Let a connection read the files of a warehouse in object storage, without an extension of DuckDB."""
     from warehouse.place_files import ReadOnce
@@ -136,11 +169,7 @@ def build(root: Path, ledger: Ledger, reviews: list[Path] | None = None) -> Path
     root = root.resolve()
     if reviews is not None:
         store_reviews(root, reviews)
-    all_records = [
-        (day, record)
-        for day in [CALIBRATION_DAY, *ledger.days(), UNDATED, FLEET_DAY]
-        for record in ledger.day(day).records()
-    ]
+    all_records = _all_records(ledger)
     store.write_bytes(root / "_catalog" / "scan_status.parquet", _parquet(SCAN_STATUS, status_rows(root, all_records)))
     store.write_bytes(
         root / "_catalog" / "reference_values.parquet", _parquet(REFERENCE_VALUES, reference_rows(root, all_records))
@@ -156,10 +185,19 @@ def build(root: Path, ledger: Ledger, reviews: list[Path] | None = None) -> Path
     return root / NAME
 
 
+def _all_records(ledger: Ledger) -> list[tuple[str, Record]]:
+    days = [CALIBRATION_DAY, *ledger.days(), UNDATED, FLEET_DAY]
+    return [(day, record) for day in days for record in ledger.day(day).records()]
+
+
 def _fill(
-    connection: duckdb.DuckDBPyConnection, root: Path, all_records: list[tuple[str, Record]], facts: dict[str, str]
+    connection: duckdb.DuckDBPyConnection,
+    root: Path,
+    all_records: list[tuple[str, Record]],
+    facts: dict[str, str],
+    moment: datetime | None = None,
 ) -> None:
-    """All facts, views and comments, in one commit instead of hundreds."""
+    """All facts, views and comments, in one commit instead of hundreds; with the measurements of a moment, if given."""
     connection.execute("BEGIN")
     connection.execute("CREATE TABLE catalog_facts (name VARCHAR, value VARCHAR)")
     connection.executemany("INSERT INTO catalog_facts VALUES (?, ?)", list(facts.items()))
@@ -169,6 +207,10 @@ def _fill(
         _create_view(connection, table, [str(root / "_catalog" / f"{table.name}.parquet")])
     _create_history(connection, root, all_records)
     _create_as_of(connection, all_records)
+    if moment is not None:
+        connection.execute("CREATE TABLE measurements_then AS FROM measurements_as_of($1)", [moment])
+        connection.execute("DROP VIEW measurements")
+        connection.execute("ALTER TABLE measurements_then RENAME TO measurements")
     _create_fused_clouds(connection)
     for statement in (report.functions(), *_limit_views(), *report.catalog_statements()):
         connection.execute(statement)

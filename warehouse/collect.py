@@ -7,18 +7,19 @@ a removal that is cut short leaves files that nobody names, and the next one tak
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from warehouse import catalog
+from warehouse import catalog, store
 from warehouse.lineage import CALIBRATION_DAY, FLEET_DAY, UNDATED, DayLedger, Ledger, Record
 from warehouse.lock import WarehouseLock
 from warehouse.place import is_remote
 from wheelset_assets.quality import ConfigError
-from wheelset_assets.tables import TABLES
+from wheelset_assets.tables import MEASUREMENTS, TABLES
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ def collect(root: Path, retention: Retention, delete: bool, now: datetime | None
         named: set[str] = set()
         for day in [CALIBRATION_DAY, *ledger.days(), UNDATED, FLEET_DAY]:
             records = ledger.day(day)
-            outdated = {id(record) for record in retention.outdated(records, now or datetime.now(UTC))}
+            outdated_records = retention.outdated(records, now or datetime.now(UTC))
+            outdated = {id(record) for record in outdated_records}
             records.history = [record for record in records.history if id(record) not in outdated]
             records.dirty = bool(outdated)
             found.versions += len(outdated)
@@ -94,6 +96,7 @@ def collect(root: Path, retention: Retention, delete: bool, now: datetime | None
                     {record.recording} if record.recording else set()
                 )
             if delete:
+                _mark(root, outdated_records)
                 ledger.save(day)
         going = _unnamed(root, named)
         for kind, path in going:
@@ -107,6 +110,13 @@ def collect(root: Path, retention: Retention, delete: bool, now: datetime | None
         return found
     finally:
         lock.release()
+
+
+def _mark(root: Path, outdated: list[Record]) -> None:
+    """Remember how far back the measurements no longer reach, before the ledger forgets them."""
+    moments = [r.superseded_at for r in outdated if r.stage == MEASUREMENTS.name and r.superseded_at]
+    if moments and (latest := max(moments)) > (catalog.collected_until(root) or latest - timedelta(1)):
+        store.write_bytes(root / catalog.COLLECTED, json.dumps({"until": latest.isoformat()}).encode())
 
 
 def _unnamed(root: Path, named: set[str]) -> list[tuple[str, Path]]:

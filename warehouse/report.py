@@ -32,6 +32,8 @@ from warehouse.report_wheelset import WHEELSET
 from wheelset_assets.quality import ConfigError
 
 REPORTS: dict[str, ReportSpec] = {spec.name: spec for spec in (ACCURACY, STABILITY, FLEET, WHEELSET, MSA, CALIBRATION)}
+PRINTED = ("generated_at", "as_of")
+AS_OF = "The measurements are those that were current at the moment of as of; reviews, limits and states of scans are today's."
 FILTERS = ("since", "until", "rig_id", "wheelset_id", "scan_id", "version_a", "version_b")
 
 
@@ -98,13 +100,16 @@ def functions() -> str:
 def build(connection: duckdb.DuckDBPyConnection, name: str, parameters: Mapping[str, Any] | None = None) -> Report:
     """Run the queries of one report on the views of a warehouse.
 
-    `parameters`: since, until (days, inclusive), rig_id, wheelset_id narrow the report; generated_at, if given, is
-    printed. Nothing stays behind on the connection but temporary macros.
+    `parameters`: since, until (days, inclusive), rig_id, wheelset_id narrow the report; generated_at and as_of (the moment
+    of a connection from `catalog.as_of`), if given, are printed. Nothing stays behind on the connection but temporary macros.
     """
     if name not in REPORTS:
         raise ConfigError(f"there is no report {name!r}; there are: {', '.join(REPORTS)}")
     given = _checked(parameters or {})
-    return _run(connection, REPORTS[name], given, *_of_one_wheelset(connection, given) if name == "wheelset" else ())
+    notes: tuple[str, ...] = (AS_OF,) if "as_of" in given else ()
+    if name == "wheelset":
+        notes += _of_one_wheelset(connection, given)
+    return _run(connection, REPORTS[name], given, notes)
 
 
 def diff(connection: duckdb.DuckDBPyConnection, version_a: str, version_b: str) -> Report:
@@ -154,7 +159,7 @@ def fingerprint() -> str:
     return hashlib.sha256("\0".join(catalog_statements()).encode()).hexdigest()[:16]
 
 
-def _of_one_wheelset(connection: duckdb.DuckDBPyConnection, given: dict[str, str]) -> tuple[tuple[str, ...]]:
+def _of_one_wheelset(connection: duckdb.DuckDBPyConnection, given: dict[str, str]) -> tuple[str, ...]:
     """Choose the wheelset and the scan that the page is about where they were not given, and say so."""
     scan, wheelset = given.get("scan_id"), given.get("wheelset_id")
     rows = connection.execute(
@@ -164,17 +169,16 @@ def _of_one_wheelset(connection: duckdb.DuckDBPyConnection, given: dict[str, str
         [scan, wheelset, given.get("until")],
     ).fetchall()
     if not rows and (scan or wheelset):
-        return ((),)
-    notes = []
+        return ()
     if not scan and not wheelset:
         first = build(connection, "fleet", given).blocks["turning"].table.column("wheelset_id").to_pylist()
         if not first:
-            return ((),)
-        notes = [f"No wheelset was named: this is {first[0]}, the first of the fleet's list."]
+            return ()
         given["wheelset_id"] = first[0]
-        return ((*notes, *_of_one_wheelset(connection, given)[0]),)
+        chosen = f"No wheelset was named: this is {first[0]}, the first of the fleet's list."
+        return (chosen, *_of_one_wheelset(connection, given))
     given["wheelset_id"], given["scan_id"] = rows[0]
-    return (tuple(notes),)
+    return ()
 
 
 def _quoted(text: str) -> str:
@@ -231,8 +235,8 @@ def _variables(connection: duckdb.DuckDBPyConnection, parameters: Mapping[str, A
 def _checked(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters that were given, as text; an unknown one or a day that is none is an error of usage."""
     given = {name: value for name, value in parameters.items() if value is not None}
-    if unknown := sorted(set(given) - {*FILTERS, "generated_at"}):
-        known = ", ".join((*FILTERS, "generated_at"))
+    if unknown := sorted(set(given) - {*FILTERS, *PRINTED}):
+        known = ", ".join((*FILTERS, *PRINTED))
         raise ConfigError(f"a report has no parameter {', '.join(unknown)}; it has: {known}")
     for name in ("since", "until"):
         if name in given:

@@ -19,7 +19,9 @@ import pytest
 from fake_inbox import FakeStages, counts, inbox_of, rows, run_night, write_scan
 
 from warehouse import catalog, execute, reviews
+from warehouse.collect import Retention, collect
 from warehouse.lineage import Ledger
+from warehouse.report import build
 from wheelset_assets.config import Config
 from wheelset_assets.declare import Stage
 from wheelset_assets.quality import ConfigError
@@ -330,10 +332,32 @@ def test_measurements_as_they_were(inbox: Path, tmp_path: Path, stages: FakeStag
     found = [rows(warehouse, query.format(f"measurements_as_of(TIMESTAMPTZ '{m.isoformat()}')")) for m in moments]
     assert found == values
     assert rows(warehouse, query.format(f"measurements_as_of(TIMESTAMPTZ '{before.isoformat()}')")) == []
+    for moment, then in zip(moments, values, strict=True):
+        with catalog.as_of(warehouse, moment) as connection:
+            assert connection.execute(query.format("measurements")).fetchall() == then
+            (n,) = connection.execute("SELECT count(*) FROM service_values").fetchone() or (None,)
+            assert n == sum(scan.startswith("scan-") for scan, _ in then)  # views of reports stand on what was then
+            report = build(connection, "stability", {"as_of": moment.isoformat()})
+            assert any("current at the moment" in note for note in report.notes)
     record = Ledger(warehouse).day(DAY).current[f"scan-{DAY}-0", "measurements"]
     day = Ledger(warehouse).day(DAY)
     day.put(replace(record, produced_at=datetime.now(UTC), code_version="9"))
     assert day.current[f"scan-{DAY}-0", "measurements"].since == record.produced_at
+
+
+def test_values_that_were_collected_are_not_left_out_in_silence(
+    inbox: Path, tmp_path: Path, stages: FakeStages
+) -> None:
+    made(inbox, tmp_path, Config.model_validate({"filtering": {"window_rows": 5}}))
+    moment = datetime.now(UTC)
+    made(inbox, tmp_path, Config.model_validate({"filtering": {"window_rows": 7}}))
+    with catalog.as_of(tmp_path, moment) as connection:
+        assert connection.execute("SELECT count(*) FROM measurements").fetchone() != (0,)
+    later = datetime.now(UTC)
+    collect(tmp_path, Retention(keep_days=0, keep_versions=0), delete=True)
+    with pytest.raises(ConfigError, match="have been collected"):
+        catalog.as_of(tmp_path, moment)
+    catalog.as_of(tmp_path, later).close()
 
 
 def test_what_each_stage_took(inbox: Path, tmp_path: Path, stages: FakeStages) -> None:
