@@ -83,14 +83,13 @@ def _row_median(values: Array, half: int, claim: _MedianClaim) -> tuple[Array, A
     padded[:, half : half + values.shape[1]] = values
     window = [padded[:, i : i + values.shape[1]] for i in range(2 * half + 1)]
     median = _median_of(window)
-    rise, runs = np.zeros(values.shape), np.cumsum(2.0 * np.arange(half + 1) ** 2)
-    for k in range(1, half + 1):
+    rise = window[half + 1] - window[half - 1]
+    for k in range(2, half + 1):
         ahead = window[half + k] - window[half - k]
         ahead *= k
         rise += ahead
-    rise /= max(runs[-1], 1.0)
-    count = np.zeros(values.shape)
-    for fade in claim.fading(rise)[1:]:
+    count, *more = claim.fading(rise, 2.0 * float((np.arange(half + 1) ** 2).sum()))[1:]
+    for fade in more:
         count += fade
     count *= 2.0
     count += 1.0
@@ -115,9 +114,8 @@ def _broken_median(window: list[Array], claim: _MedianClaim) -> tuple[Array, Arr
         median[joined] = found[joined]
         rise[joined] += k * (window[half + k] - window[half - k])[joined]
         support += joined
-    rise /= np.maximum(runs, 1.0)[support]
     count = np.ones(median.shape)
-    for k, fade in enumerate(claim.fading(rise)[1:], start=1):
+    for k, fade in enumerate(claim.fading(rise, np.maximum(runs, 1.0)[support])[1:], start=1):
         count += 2.0 * fade * (support >= k)
     return median, claim.factor(count, count)
 
@@ -143,19 +141,19 @@ class _MedianClaim:
     along: Array
     """Noise factor of the mean of 0, 1 ... 2 half_rows + 1 neighbouring values of a row."""
 
-    def fading(self, rise: Array) -> list[Array]:
-        """How much a neighbour 0, 1 ... half_rows away counts on a slope (mm a row); `rise` is overwritten."""
+    def fading(self, rise: Array, run: Array | float = 1.0) -> list[Array]:
+        """How much a neighbour 0, 1 ... half_rows away counts on a slope rise / run (mm a row); `rise` is overwritten."""
         lags = np.arange(1, self.half_rows + 1)
         # A slope that noise alone would show, up to two standard deviations, is none.
-        rise /= self.noise
+        rise /= run * self.noise
         np.square(rise, out=rise)
         rise -= 4.0 / max(2.0 * float((lags**2).sum()), 1.0)
         np.maximum(rise, 0.0, out=rise)
         rise *= -0.125
-        odd = np.exp(rise, out=rise)  # to the power of 2 lag - 1
-        made, square = [np.ones((1,) * rise.ndim), odd], odd * odd
+        first = np.exp(rise, out=rise)
+        made, square, odd = [np.ones((1,) * rise.ndim), first], first * first, first
         for _ in lags[1:]:
-            odd = odd * square
+            odd = odd * square  # first to the power of 2 lag - 1
             made.append(made[-1] * odd)
         return made
 
