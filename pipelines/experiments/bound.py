@@ -94,13 +94,16 @@ def _station_rows(tables: dict[str, pa.Table], rig: Rig, rig_c: float) -> dict[s
     noise = NoiseModel()
     true_px = float(np.hypot(noise.white_px, noise.speckle_px))
     estimated = {(r["sensor_id"], r["line"]): r["centre_noise_px"] for r in tables["stripe_statistics"].to_pylist()}
-    names = np.asarray(cloud["sensor_id"].to_pylist(), object)
+    sensor_ids = cloud["sensor_id"].combine_chunks().dictionary_encode()
+    code, coded = sensor_ids.indices.to_numpy(), sensor_ids.dictionary.to_pylist()
     columns = {c: cloud[c].to_numpy().astype(float) for c in ("line", "row", "x_mm", "y_mm", "z_mm", "u_depth_um")}
     found: dict[str, list[_Rows]] = {}
     for sensor in rig.sensors:
         pose = sensor.rig_from_sensor_at(rig_c, rig.expansion_per_k)
         for line in range(len(sensor.planes)):
-            member = (names == sensor.sensor_id) & (columns["line"] == line)
+            if sensor.sensor_id not in coded:
+                continue
+            member = (code == coded.index(sensor.sensor_id)) & (columns["line"] == line)
             if not member.any():
                 continue
             row = columns["row"][member].astype(int)

@@ -8,6 +8,7 @@ Board frame: origin in the first inner corner, X along the columns of corners, Y
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +41,17 @@ class Board:
     square_mm: float
 
     def corners(self) -> Array:
-        """Inner corners (rows * columns, 3) in the board frame, column index fastest."""
-        columns, rows = self.inner_corners
-        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        return self.square_mm * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
+        """Inner corners (rows * columns, 3) in the board frame, column index fastest; read-only."""
+        return _corners(self)
+
+
+@cache
+def _corners(board: Board) -> Array:
+    columns, rows = board.inner_corners
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    found = board.square_mm * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
+    found.flags.writeable = False
+    return found
 
 
 def board_of(rig: Rig) -> Board:
