@@ -16,7 +16,7 @@ from warehouse.light import LIGHT, rows_by_unit
 from warehouse.lineage import BUNDLE, CALIBRATION_DAY, FLEET_DAY, UNDATED, DayLedger, Ledger, Output
 from warehouse.store import VERSION_DIGITS, files_of, sha256_file
 from wheelset_assets.declare import Table
-from wheelset_assets.quality import ScanUnusable
+from wheelset_assets.quality import ConfigError, ScanUnusable
 from wheelset_assets.tables import ALL_TABLES, MEASUREMENTS, TABLES
 
 
@@ -87,8 +87,8 @@ def _broken_views(root: Path) -> list[str]:
     if not (root / catalog.NAME).exists():
         return []
     try:
-        connection = catalog.open_built(root)
-    except duckdb.Error as error:
+        connection = catalog.connect(root)  # after a move it is built again, as by any other command
+    except (duckdb.Error, ConfigError) as error:
         return [f"{catalog.NAME}: cannot be opened: {str(error).splitlines()[0]}"]
     found = []
     with connection:

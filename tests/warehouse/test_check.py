@@ -32,6 +32,12 @@ def test_a_sound_warehouse(inbox: Path, warehouse: Path) -> None:
     assert found["unnamed"] == 0  # what a stage wrote is named, and nothing else lies about
 
 
+def test_a_warehouse_that_was_moved_is_sound(inbox: Path, warehouse: Path, tmp_path: Path) -> None:
+    catalog.build(warehouse, Ledger(warehouse))
+    warehouse.rename(tmp_path / "moved")
+    assert verify(tmp_path / "moved", inbox)["broken"] == []
+
+
 def test_files_that_changed_or_are_gone(warehouse: Path) -> None:
     spoilt, gone, *_ = sorted(warehouse.glob("filtered_clouds/*/*/*.parquet"))
     spoilt.write_bytes(spoilt.read_bytes() + b"x")
