@@ -6,11 +6,13 @@ import logging
 from collections.abc import Callable
 
 from pipelines.finish import finish, stopped
+from pipelines.history import kept_open
 from pipelines.settings import Settings, dagster_home
 from warehouse.events import event
 from warehouse.night import Night, Progress, no_progress
 from warehouse.summary import Summary
 from wheelset_assets.quality import WheelsetError
+from wheelset_assets.stages import SCAN_STAGES
 
 QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
 
@@ -59,6 +61,10 @@ def _work(s: Settings, night: Night) -> None:
         materialise = _materialiser(s, night)
         materialise(["calibrations"], None)
     for day in night.days_with_work():
+        if night.references_only:  # the day is materialised when its turn comes, with what was done here in its figures
+            for stage in SCAN_STAGES:
+                night.run_stage(stage, day)
+            continue
         materialise = materialise or _materialiser(s, night)
         materialise(None, day)
     if night.fleet_stale() is not None:
@@ -76,7 +82,8 @@ def _materialiser(s: Settings, night: Night) -> Callable:
 
     logging.getLogger("dagster").setLevel(logging.CRITICAL)
     assets = build_assets(s.config)
-    instance = dg.DagsterInstance.get()
+    with kept_open():
+        instance = dg.DagsterInstance.get()
     resources = {"night": dg.ResourceDefinition.hardcoded_resource(night)}
 
     def materialise(names: list[str] | None, day: str | None) -> None:
@@ -85,15 +92,16 @@ def _materialiser(s: Settings, night: Night) -> Callable:
         partitioned = [a for a in assets if a.partitions_def is not None]
         selection = [dg.AssetKey(n) for n in names] if names else [a.key for a in partitioned]
         try:
-            dg.materialize(
-                assets,
-                selection=selection,
-                partition_key=day,
-                instance=instance,
-                resources=resources,
-                run_config=QUIET,
-                tags={"wheelset/run": night.run_id},
-            )
+            with kept_open():
+                dg.materialize(
+                    assets,
+                    selection=selection,
+                    partition_key=day,
+                    instance=instance,
+                    resources=resources,
+                    run_config=QUIET,
+                    tags={"wheelset/run": night.run_id},
+                )
         except DagsterExecutionInterruptedError:  # its own name for Ctrl-C, which it has taken over meanwhile
             raise KeyboardInterrupt from None
         except dg.DagsterError as error:

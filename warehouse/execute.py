@@ -20,6 +20,7 @@ from warehouse.audit import audit
 from warehouse.bounds import as_disk_full, is_passing, with_retries
 from warehouse.inbox import ScanReader, read_boards, read_frames
 from warehouse.lineage import Output
+from warehouse.travel import Tables
 from wheelset_assets.bundle import CalibrationHeader, Rig, ScanHeader
 from wheelset_assets.config import Config, Section
 from wheelset_assets.declare import Stage
@@ -201,10 +202,8 @@ def _raw(name: str, task: Task) -> Any:
     raise RuntimeError(f"unknown raw input {name}")
 
 
-def _publish(
-    stage: Stage, task: Task, produced: Mapping[str, pa.Table]
-) -> tuple[tuple[Output, ...], dict[str, pa.Table]]:
-    outputs, light = [], {}
+def _publish(stage: Stage, task: Task, produced: Mapping[str, pa.Table]) -> tuple[tuple[Output, ...], Tables]:
+    outputs, light = [], Tables()
     for table in stage.outputs:
         data = produced[table.name]
         if table.layout in ("scan", "calibration", "fleet"):

@@ -15,8 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-
 from warehouse import fleet, place, store
 from warehouse.bounds import DEFAULT, Bounds, DiskFull, is_passing, with_retries
 from warehouse.execute import Outcome, Task, execute, stage_config
@@ -28,6 +26,7 @@ from warehouse.pool import Pool, WorkerDied
 from warehouse.recorder import Recorder
 from warehouse.state import State, Unit
 from warehouse.summary import StageSummary, Summary, summarise
+from warehouse.travel import Tables
 from wheelset_assets.config import Config
 from wheelset_assets.declare import Stage
 from wheelset_assets.quality import ConfigError, ScanUnusable
@@ -77,7 +76,10 @@ class Night:
         self.state = State(Inbox(inbox), self.ledger, config, retry_before=self.run_id if retry_failed else None)
         self.record = Recorder(root, self.ledger, config, self.run_id)
         self.interrupted = False
-        self._references_only = False
+        self.references_only = False
+        """Whether the day that was given last is to be gone through for its references alone."""
+        self._begun: dict[str, dict[str, StageSummary]] = {}
+        """Days whose references were worked on ahead of their scans, with what each stage did."""
         self.unread: set[str] = set()
         """Bundles that could not be read now, though nothing speaks against them."""
         self._wait = wait_seconds
@@ -187,7 +189,7 @@ class Night:
     def units(self, day: str) -> list[Unit]:
         """Units of a day that this run may touch."""
         found = self.state.units(day)
-        if self._references_only:
+        if self.references_only:
             found = [u for u in found if u.scan.purpose == "reference"]
         if not self.only:
             return found
@@ -216,6 +218,9 @@ class Night:
         A reference is zeroed by the one before it, and a scan by the newest: so if several days have work, the references
         of all of them come first, in order of time, and then the days from the newest back. A day comes again if the work
         itself makes more: a reference that turns out to be unusable gives its scans another one.
+
+        With `references_only` set, only the references of the day are meant; the day itself is then still to come, even if
+        nothing more is to be done on it, and its summaries tell of both.
         """
         asked: dict[tuple[str, bool], dict[str, list[Unit]]] = {}
         more = True
@@ -223,17 +228,23 @@ class Night:
             more = False
             for day, references in self._order():
                 self.record.release()
-                self._references_only = references
+                self.references_only = references
                 stale = self.stale_units(day)
-                if not stale or stale == asked.get((day, references)):
+                nothing_new = not stale or stale == asked.get((day, references))
+                if nothing_new and (references or day not in self._begun):
                     continue
                 if self.out_of_time():
                     self.interrupted = True
                     break
                 asked[day, references], more = stale, True
                 yield day
-            self._references_only = False
+                if not references:
+                    self._begun.pop(day, None)
+            self.references_only = False
             if self.interrupted:
+                for day in sorted(self._begun):  # nothing is begun any more, but what was done on them is told
+                    self.record.release()
+                    yield day
                 return
 
     def _order(self) -> list[tuple[str, bool]]:
@@ -261,6 +272,10 @@ class Night:
         for batch in batches:
             self._batch(stage, day, batch, summary)
         self.record.save(day)
+        if self.references_only:
+            self._begun.setdefault(day, {})[stage.name] = summary
+        elif (before := self._begun.get(day, {}).pop(stage.name, None)) is not None:
+            summary.include(before)
         summary.data_version = self._data_version(day, stage)
         return summary
 
@@ -296,7 +311,7 @@ class Night:
     def _task(self, stage: Stage, unit: Unit) -> Task:
         ledger = self.ledger.day(unit.day)
         paths: dict[str, str] = {}
-        tables: dict[str, pa.Table] = {}
+        tables = Tables()
         for name in stage.inputs:
             if name == "calibrations":
                 record = self.ledger.day(CALIBRATION_DAY).current[unit.calibration_id, CALIBRATION.name]

@@ -23,6 +23,8 @@ from warehouse import place
 from wheelset_assets.declare import Table
 
 VERSION_DIGITS = 16
+SMALL_ROWS = 100_000
+"""Up to so many rows, a table is read sooner by one thread than shared out to several."""
 
 
 def sha256_file(path: Path) -> str:
@@ -141,7 +143,9 @@ def write_bytes(target: Path, data: bytes) -> None:
 def read_table(root: Path, path: str, columns: list[str] | None = None) -> pa.Table:
     """A stored table, or some of its columns; dictionaries come back as dictionaries."""
     source = pa.BufferReader((root / path).read_bytes()) if place.is_remote(root) else root / path
-    return pq.read_table(source, columns=columns, partitioning=None)
+    with pq.ParquetFile(source) as file:  # a third of what a data set of one file costs
+        table = file.read(columns=columns, use_threads=file.metadata.num_rows > SMALL_ROWS)
+    return table if columns is None else table.select(columns)
 
 
 def files_of(root: Path, table: Table) -> set[str]:

@@ -44,6 +44,12 @@ class StageSummary:
             self.failed += outcome.state == "failed"
             self.reasons[outcome.reason] += 1
 
+    def include(self, before: StageSummary) -> None:
+        """Add what the stage did on the same day a while ago; what it made then counts as unchanged here."""
+        for name in ("computed", "refused", "failed", "points", "seconds", "compute_seconds", "bytes"):
+            setattr(self, name, getattr(self, name) + getattr(before, name))
+        self.unchanged = max(0, self.unchanged - before.computed)
+
 
 @dataclass
 class Summary:

@@ -70,12 +70,17 @@ class Column:
 
 @dataclass(frozen=True)
 class Check:
-    """SQL that selects the failing rows of `{table}`; an empty answer passes. `error` stops the publication."""
+    """SQL that selects the failing rows of `{table}`; an empty answer passes. `error` stops the publication.
+
+    `screen`, if there is one, says of a table in microseconds that the SQL would select nothing; where it says no, the SQL
+    decides. It may say no without need, never yes.
+    """
 
     name: str
     sql: str
     meaning: str
     severity: Literal["error", "warn"] = "error"
+    screen: Callable[[pa.Table], bool] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pytest
 from fake_inbox import FakeStages, inbox_of, run_night
 
 from warehouse.night import Night
@@ -35,6 +36,20 @@ def test_one_day_is_one_piece_of_work(tmp_path: Path, stages: FakeStages) -> Non
             for stage in SCAN_STAGES:
                 night.run_stage(stage, day)
     assert found == [DAYS[0]]
+
+
+@pytest.mark.parametrize("scans", [0, 1])
+def test_the_figures_of_a_day_tell_of_its_references_too(tmp_path: Path, stages: FakeStages, scans: int) -> None:
+    inbox = inbox_of(tmp_path / "inbox", days=DAYS, scans=scans)
+    found = []
+    with Night(tmp_path / "w", inbox, Config(), workers=0, wait_seconds=0) as night:
+        night.prepare()
+        night.run_calibrations()
+        for day in night.days_with_work():
+            last = [night.run_stage(stage, day) for stage in SCAN_STAGES][-1]
+            found.append((day, night.references_only, last.computed, last.unchanged))
+    ahead = [(day, True, 1, 0) for day in DAYS]
+    assert found == ahead + [(day, False, 1 + scans, 0) for day in reversed(DAYS)]
 
 
 def test_the_window_closes_between_days_and_the_next_run_goes_on(tmp_path: Path, stages: FakeStages) -> None:

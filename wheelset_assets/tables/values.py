@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from wheelset_assets import screens
 from wheelset_assets.declare import Check, Column, Table
 from wheelset_assets.tables.columns import CALIBRATION_ID, FLAGS, QUANTITY, RIG_ID, SCAN_ID, SIDE
 
@@ -55,11 +56,13 @@ MEASUREMENTS = Table(
             "value_or_reason",
             "SELECT * FROM {table} WHERE (value IS NULL) = (reason IS NULL)",
             "a row has a value or a reason, never both or neither",
+            screen=screens.value_or_reason,
         ),
         Check(
             "value_with_uncertainty",
             "SELECT * FROM {table} WHERE value IS NOT NULL AND (expanded_uncertainty IS NULL OR expanded_uncertainty <= 0)",
             "no value without its uncertainty",
+            screen=screens.value_with_uncertainty,
         ),
     ),
 )
@@ -91,6 +94,7 @@ BUDGETS = Table(
             "shares_sum_to_one",
             "SELECT scan_id, quantity, side FROM {table} GROUP BY ALL HAVING abs(sum(share) - 1) > 1e-6",
             "the shares of a value's variance sum to one",
+            screen=screens.shares_sum_to_one,
         ),
     ),
 )
