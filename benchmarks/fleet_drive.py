@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import os
 import sys
+import tempfile
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,14 +18,25 @@ from typing import Any
 import pyarrow as pa
 
 RECORDED = "WHEELSET_BENCHMARK_RECORDED"
+CPU = "WHEELSET_BENCHMARK_CPU"
+"""Folder with a file a process, to which each computation adds a line: the processor seconds that it took."""
 
 
-def recorded(task: Any) -> Any:
-    """`execute`, with the computation of a template's copies looked up; runs in the workers."""
+def watched(task: Any) -> Any:
+    """`execute`, with the computation measured, and that of a template's copies looked up; runs in the workers."""
     from warehouse import execute
 
-    execute.compute = _looked_up
+    execute.compute = _timed
     return execute.execute(task)
+
+
+def _timed(stage: Any, task: Any, got: Mapping[str, Any]) -> Mapping[str, pa.Table]:
+    begun = time.process_time()
+    try:
+        return _looked_up(stage, task, got) if RECORDED in os.environ else stage.run(**got, config=task.config)
+    finally:
+        with (Path(os.environ[CPU]) / str(os.getpid())).open("a", encoding="ascii") as file:
+            file.write(f"{time.process_time() - begun}\n")
 
 
 def _looked_up(stage: Any, task: Any, got: Mapping[str, Any]) -> Mapping[str, pa.Table]:
@@ -78,10 +91,12 @@ def main(arguments: list[str]) -> int:
     one_thread()
     if folder != "-":
         os.environ[RECORDED] = folder
-        night.execute = recorded  # type: ignore[attr-defined]
+    night.execute = watched  # type: ignore[attr-defined]
     s = settings(Path(inbox), Path(warehouse), None, int(workers))
-    summary = _without_dagster(s) if plain else run(s)
-    print(json.dumps(summary.as_json() | {"driver_peak_mb": peak_mb()}))
+    with tempfile.TemporaryDirectory() as os.environ[CPU]:
+        summary = _without_dagster(s) if plain else run(s)
+        computed = [float(line) for file in Path(os.environ[CPU]).iterdir() for line in file.read_text().split()]
+    print(json.dumps(summary.as_json() | {"driver_peak_mb": peak_mb(), "compute_cpu_seconds": round(sum(computed), 3)}))
     return 0
 
 

@@ -29,9 +29,10 @@ def audit(table: Table, data: pa.Table) -> list[str]:
         raise RuntimeError(
             f"table {table.name}: schema differs from its declaration:\n{data.schema}\nexpected\n{table.schema}"
         )
-    for column in table.columns:
-        if not column.nullable and data[column.name].null_count:
-            raise RuntimeError(f"table {table.name}: column {column.name} has {data[column.name].null_count} nulls")
+    columns = list(zip(table.columns, data.columns, strict=True))
+    for column, values in columns:
+        if not column.nullable and values.null_count:
+            raise RuntimeError(f"table {table.name}: column {column.name} has {values.null_count} nulls")
     if data.num_rows == 0:
         return []
     large = data.num_rows > LARGE
@@ -39,7 +40,7 @@ def audit(table: Table, data: pa.Table) -> list[str]:
         raise RuntimeError(
             f"table {table.name}: check key_unique: rows are not in strictly ascending order of {', '.join(table.key)}"
         )
-    suspicious = not all(_within(column, data[column.name]) for column in table.columns)
+    suspicious = not all(_within(column, values) for column, values in columns)
     suspicious = suspicious or not (large or key_is_unique(table, data))
     checks = table.generated_checks() if suspicious else _unscreened(table, data)
     return _run_checks(table, data, [c for c in checks if not (large and c.name == "key_unique")])
@@ -84,7 +85,7 @@ def _within(column: Column, values: pa.ChunkedArray) -> bool:
         return False
     if column.minimum is None and column.maximum is None and column.type not in ("float32", "float64"):
         return True
-    numbers = values.drop_null().to_numpy()
+    numbers = (values.drop_null() if values.null_count else values).to_numpy()
     if not len(numbers):
         return True
     low, high = numbers.min(), numbers.max()  # NaN if there is one

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from wheelset_assets.declare import Stage
 from wheelset_assets.quality import AlgorithmFailed, ScanUnusable
 from wheelset_assets.stages import CONFIG_SECTIONS, STAGES
 from wheelset_assets.stages.raw import Reference
+from wheelset_assets.tables import TABLES
 
 STAGE_BY_NAME = {stage.name: stage for stage in STAGES}
 
@@ -174,7 +176,8 @@ def _get(stage: Stage, task: Task) -> dict[str, Any]:
         if name in task.tables:
             got[name] = task.tables[name]
         elif name in task.table_paths:
-            got[name] = store.read_table(task.root, task.table_paths[name])
+            shared = TABLES[name].layout == "calibration"
+            got[name] = (_read_shared if shared else store.read_table)(task.root, task.table_paths[name])
         elif name in stage.optional_inputs:
             got[name] = None
         else:
@@ -182,6 +185,12 @@ def _get(stage: Stage, task: Task) -> dict[str, Any]:
     for name in stage.raw_inputs:
         got[name] = _raw(name, task)
     return got
+
+
+@lru_cache(maxsize=8)
+def _read_shared(root: Path, path: str) -> pa.Table:
+    """A stored table that many scans need, read once a worker: a file never changes under its name."""
+    return store.read_table(root, path)
 
 
 def _raw(name: str, task: Task) -> Any:

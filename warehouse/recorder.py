@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from warehouse import store
 from warehouse.bounds import as_disk_full
 from warehouse.execute import Outcome, stage_config
 from warehouse.light import LightTables
@@ -41,10 +42,12 @@ class Recorder:
         return self._light.setdefault(day, LightTables(self.root, self.ledger, day))
 
     def save(self, day: str) -> None:
-        """Make what a day has visible: its tables first, then the ledger that names them."""
+        """Make what a day has visible: its tables and the names of its folders first, then the ledger that names them."""
         try:
             if day not in (CALIBRATION_DAY, FLEET_DAY):
                 self.light(day).flush()
+                if self.ledger.day(day).dirty:
+                    store.flush_names(self.root, day)
             self.ledger.save(day)
         except OSError as error:
             if full := as_disk_full(error, self.root):

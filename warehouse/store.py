@@ -21,8 +21,11 @@ import pyarrow.parquet as pq
 
 from warehouse import place
 from wheelset_assets.declare import Table
+from wheelset_assets.tables import TABLES
 
 VERSION_DIGITS = 16
+SMALL_BYTES = 2**20
+"""Up to so many bytes, a table is written by way of memory, and its file need not be read to be hashed."""
 SMALL_ROWS = 100_000
 """Up to so many rows, a table is read sooner by one thread than shared out to several."""
 
@@ -73,13 +76,31 @@ def write_table(root: Path, table: Table, data: pa.Table, day: str | None, key: 
         target = within / f"{version}.parquet"
         place.put(target, content.to_pybytes())
         return target.relative_to(root).as_posix(), version, content.size
-    _make_folder(within)
+    _make_folder(within, flushed=table.layout != "scan")
     temporary = within / f".tmp-{os.getpid()}-{table.name}.parquet"
-    pq.write_table(data, temporary, **_encoding(table))
-    version = sha256_file(temporary)[:VERSION_DIGITS]
+    if data.nbytes <= SMALL_BYTES:
+        sink = pa.BufferOutputStream()
+        pq.write_table(data, sink, **_encoding(table))
+        content = memoryview(sink.getvalue())
+        digest = hashlib.sha256(content).hexdigest()
+        temporary.write_bytes(content)
+    else:
+        pq.write_table(data, temporary, **_encoding(table))
+        digest = sha256_file(temporary)
+    size = temporary.stat().st_size
+    version = digest[:VERSION_DIGITS]
     target = within / f"{version}.parquet"
     publish(temporary, target)
-    return target.relative_to(root).as_posix(), version, target.stat().st_size
+    return target.relative_to(root).as_posix(), version, size
+
+
+def flush_names(root: Path, day: str) -> None:
+    """Flush the names of the scans' folders of a day: once for all of them, before the ledger names what is in them."""
+    if place.is_remote(root):
+        return
+    for table in TABLES.values():
+        if table.layout == "scan" and (parent := folder(root, table, day, "-").parent).is_dir():
+            sync_folder(parent)
 
 
 def _encoding(table: Table) -> dict:
@@ -120,13 +141,14 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def _make_folder(folder: Path) -> None:
-    """A folder with all above it, whose new names are flushed to disk."""
+def _make_folder(folder: Path, flushed: bool = True) -> None:
+    """A folder with all above it, whose new names are flushed to disk; its own name too if `flushed`."""
     if folder.is_dir():
         return
     _make_folder(folder.parent)
     folder.mkdir(exist_ok=True)
-    sync_folder(folder.parent)
+    if flushed:
+        sync_folder(folder.parent)
 
 
 def write_bytes(target: Path, data: bytes) -> None:

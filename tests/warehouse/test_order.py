@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from fake_inbox import FakeStages, inbox_of, run_night
 
+from warehouse import store
+from warehouse.lineage import Ledger
 from warehouse.night import Night
 from wheelset_assets.config import Config
 from wheelset_assets.stages import SCAN_STAGES
@@ -70,3 +72,16 @@ def test_days_that_are_done_leave_memory(tmp_path: Path, stages: FakeStages) -> 
                 night.run_stage(stage, day)
             most = max(most, len([d for d in night.ledger._days if d[:2] == "20"]))
     assert most <= 2, "the day itself, and that of a reference before it"
+
+
+def test_names_are_on_disk_before_the_ledger_names_them(
+    tmp_path: Path, stages: FakeStages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    write = Ledger._write
+    monkeypatch.setattr(store, "flush_names", lambda root, day: done.append(f"day={day}"))
+    monkeypatch.setattr(Ledger, "_write", lambda s, path, table: (done.append(path.stem), write(s, path, table))[1])
+    run_night(inbox_of(tmp_path / "inbox", days=DAYS, scans=1), tmp_path / "w")
+    days = [name for name in done if name.startswith("day=2025")]
+    assert days[::2] == days[1::2]
+    assert len(days) >= 2 * len(DAYS)

@@ -142,3 +142,31 @@ def test_a_published_name_is_flushed_with_its_folder(tmp_path: Path, monkeypatch
     monkeypatch.setattr(store, "sync_folder", flushed.append)
     store.write_bytes(tmp_path / "a.json", b"{}")
     assert flushed == [tmp_path]
+
+
+def test_the_names_of_scans_folders_are_flushed_by_the_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flushed: list[Path] = []
+    monkeypatch.setattr(store, "sync_folder", flushed.append)
+    monkeypatch.setattr(store, "TABLES", {POINTS.name: POINTS})
+    for unit in ("s-1", "s-2"):
+        store.write_table(tmp_path, POINTS, points(), "2025-04-05", unit)
+    day = tmp_path / POINTS.name / "day=2025-04-05"
+    assert [f for f in flushed if f.name[:8] != "scan_id="] == [tmp_path, day.parent]
+    store.flush_names(tmp_path, "2025-04-05")
+    assert flushed[-1] == day
+    store.flush_names(tmp_path, "2025-04-06")  # nothing was written on it
+    assert flushed[-1] == day
+
+
+def test_small_and_large_tables_are_written_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = store.write_table(tmp_path / "small", POINTS, points(), "2025-04-05", "s-1")
+    monkeypatch.setattr(store, "SMALL_BYTES", 0)
+    large = store.write_table(tmp_path / "large", POINTS, points(), "2025-04-05", "s-1")
+    assert small == large
+    assert (tmp_path / "small" / small[0]).read_bytes() == (tmp_path / "large" / large[0]).read_bytes()
+
+
+def test_some_columns_come_in_the_order_asked_for(tmp_path: Path) -> None:
+    path, *_ = store.write_table(tmp_path, POINTS, points(), "2025-04-05", "s-1")
+    names = list(reversed(points().column_names))
+    assert store.read_table(tmp_path, path, names).equals(points().select(names))
