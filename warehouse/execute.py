@@ -80,7 +80,17 @@ def stage_config(config: Config, stage: Stage) -> Section:
 
 def fingerprint(stage: Stage, config: Section, inputs: tuple[tuple[str, str], ...]) -> str:
     """Identity of a computation: stage, code version, configuration, and the version of every input."""
-    lines = [stage.name, stage.code_version, config.fingerprint(), *(f"{name}={value}" for name, value in inputs)]
+    return fingerprint_of(method(stage, config), inputs)
+
+
+def method(stage: Stage, config: Section) -> tuple[str, str, str]:
+    """What the computations of a stage have in common: its name, code version and configuration."""
+    return stage.name, stage.code_version, config.fingerprint()
+
+
+def fingerprint_of(common: tuple[str, str, str], inputs: tuple[tuple[str, str], ...]) -> str:
+    """The same, with what its computations have in common given."""
+    lines = [*common, *(f"{name}={value}" for name, value in inputs)]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 

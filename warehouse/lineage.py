@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from warehouse import ledger_rows, place
@@ -166,7 +167,7 @@ class Ledger:
 
     def _read_stage(self, day: str, stage: str) -> Iterator[Record]:
         path = self.folder / f"day={day}.parquet"
-        table = self._read(path, [("stage", "==", stage)])
+        table = self._read(path, stage)
         if table is not None:
             yield from (r for r in ledger_rows.from_table(table, Record, Output) if r.superseded_at is None)
 
@@ -210,15 +211,19 @@ class Ledger:
         self._write(self.folder / f"day={day}.parquet", _to_table(ledger))
         ledger.dirty = False
 
-    def _read(self, path: Path, filters: list[tuple[str, str, Any]] | None = None) -> pa.Table | None:
-        """A day's file, or some of its rows; None if there is none. Whoever reads a ledger's file reads it here."""
+    def _read(self, path: Path, stage: str | None = None) -> pa.Table | None:
+        """A day's file, or its rows of a stage; None if there is none. Whoever reads a ledger's file reads it here."""
         source: Any = path
         if place.is_remote(path):
             data, self._etags[path.name] = place.get(path)
             source = None if data is None else pa.BufferReader(data)
         elif not path.exists():
             source = None
-        return None if source is None else pq.read_table(source, partitioning=None, filters=filters)
+        if source is None:
+            return None
+        with pq.ParquetFile(source) as file:
+            table = file.read()
+        return table if stage is None else table.filter(pc.equal(table["stage"], stage))
 
     def _write(self, path: Path, table: pa.Table) -> None:
         """Replace a day's file. In object storage only if it is the one that was read: a run that lost its lock stops."""

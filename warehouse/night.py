@@ -83,6 +83,7 @@ class Night:
         self.unread: set[str] = set()
         """Bundles that could not be read now, though nothing speaks against them."""
         self._wait = wait_seconds
+        self._swept = False
 
     def __enter__(self) -> Night:
         try:
@@ -101,7 +102,6 @@ class Night:
     def prepare(self) -> None:
         """Take up the inbox: verify new and changed bundles, and put what they are on record."""
         self.bounds.check_disk(self.root)
-        store.sweep_temporary(self.root)
         self._keep_rigs()
         changed = self.state.unknown_bundles()
         jobs = [(self.inbox_root, kind, entry) for kind, entry in changed]
@@ -136,6 +136,12 @@ class Night:
                 self.record.warnings.append(f"calibration {entry.identifier} was refused: {record.reason}")
         elif not record.ok or before is None or before[1].fingerprint != record.fingerprint:
             self.record.touched.add(record.unit)
+
+    def _sweep(self) -> None:
+        """Remove what a killed run left half written, before the first task: a run with nothing to do need not look."""
+        if not self._swept:
+            store.sweep_temporary(self.root)
+            self._swept = True
 
     def _keep_rigs(self) -> None:
         """Copy the rigs' files, so that recordings and reports need no inbox: `_rigs/<sha256>.json`."""
@@ -344,6 +350,8 @@ class Night:
         )
 
     def _run(self, tasks: list[Task], stage: Stage, day: str, wanted: dict, summary: StageSummary) -> None:
+        if tasks:
+            self._sweep()
         try:
             for n, (task, result) in enumerate(self.pool.run(execute, tasks, self.out_of_time), start=1):
                 if isinstance(result, WorkerDied):
@@ -376,6 +384,7 @@ class Night:
         if wanted is None:
             summary.unchanged = 1
         else:
+            self._sweep()
             outcome = fleet.run(self.root, self.ledger, self.config, execute)
             self.record.put(FLEET_DAY, "fleet", "fleet", REPEATABILITY, outcome, *wanted)
             self.record.count(outcome, summary)

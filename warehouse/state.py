@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from warehouse import nominal
-from warehouse.execute import fingerprint, stage_config
+from warehouse.execute import fingerprint, fingerprint_of, method, stage_config
 from warehouse.inbox import BundleRefused, Entry, Inbox, Verified
 from warehouse.lineage import BUNDLE, CALIBRATION_DAY, UNDATED, Ledger, Record, git_commit, now, package_versions
 from wheelset_assets.bundle import CalibrationHeader, Rig, ScanHeader
@@ -93,6 +93,7 @@ class State:
     retry_before: str | None = None
     """If given: failures on record of other runs than this one are to be tried again."""
     _profiles: dict[str | None, str] = field(default_factory=dict)
+    _methods: dict[str, tuple[str, str, str]] = field(default_factory=dict)
 
     # --- bundles -------------------------------------------------------------------------------------------------
 
@@ -367,7 +368,9 @@ class State:
         need = self.need(stage, unit)
         if need.blocked or need.failed:
             return need, None
-        wanted = fingerprint(stage, stage_config(self.config, stage), need.inputs)
+        if stage.name not in self._methods:
+            self._methods[stage.name] = method(stage, stage_config(self.config, stage))
+        wanted = fingerprint_of(self._methods[stage.name], need.inputs)
         record = self.ledger.day(unit.day).get(unit.key, stage.name)
         known = record is not None and record.fingerprint == wanted and not self._to_retry(record)
         return need, None if known else wanted

@@ -182,7 +182,8 @@ def sweep_temporary(root: Path) -> int:
     """Remove temporary files that a killed run left behind; call it while holding the warehouse's lock."""
     if place.is_remote(root):
         return 0  # an object that was not written to its end does not exist
-    stray = [path for path in root.rglob(".tmp-*") if path.is_file()]
+    walk = os.walk(root)
+    stray = [Path(base, name) for base, _, names in walk for name in names if name.startswith(".tmp-")]
     for path in stray:
         path.unlink(missing_ok=True)
     return len(stray)
