@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable, Iterator
 from datetime import datetime
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -170,12 +173,16 @@ def build(root: Path, ledger: Ledger, reviews: list[Path] | None = None) -> Path
     if reviews is not None:
         store_reviews(root, reviews)
     all_records = _all_records(ledger)
-    store.write_bytes(root / "_catalog" / "scan_status.parquet", _parquet(SCAN_STATUS, status_rows(root, all_records)))
     store.write_bytes(
-        root / "_catalog" / "reference_values.parquet", _parquet(REFERENCE_VALUES, reference_rows(root, all_records))
+        root / "_catalog" / "scan_status.parquet", _parquet(SCAN_STATUS, [status_rows(root, all_records)])
     )
-    store.write_bytes(root / "_catalog" / "lineage.parquet", _parquet(LINEAGE, lineage_rows(all_records)))
-    store.write_bytes(root / "_catalog" / "stage_runs.parquet", _parquet(STAGE_RUNS, stage_run_rows(all_records)))
+    store.write_bytes(
+        root / "_catalog" / "reference_values.parquet", _parquet(REFERENCE_VALUES, [reference_rows(root, all_records)])
+    )
+    store.write_bytes(root / "_catalog" / "lineage.parquet", _parquet(LINEAGE, map(lineage_rows, _by_day(all_records))))
+    store.write_bytes(
+        root / "_catalog" / "stage_runs.parquet", _parquet(STAGE_RUNS, map(stage_run_rows, _by_day(all_records)))
+    )
     store.write_bytes(root / "_catalog" / "limits.parquet", _limits_parquet(root))
     with place.landing(root / NAME) as temporary, duckdb.connect(str(temporary)) as connection:
         if place.is_remote(root):
@@ -250,12 +257,22 @@ def _limit_views() -> list[str]:
     return statements
 
 
-def _parquet(table: Table, rows: list[dict[str, Any]]) -> bytes:
+def _parquet(table: Table, parts: Iterable[list[dict[str, Any]]]) -> bytes:
+    """Rows as a Parquet file, part by part: those of all days at once, as Python has them, would take a hundred times the file."""
     import pyarrow.parquet as pq
 
     sink = pa.BufferOutputStream()
-    pq.write_table(table.from_rows(rows) if rows else table.empty(), sink, compression="zstd")
+    with pq.ParquetWriter(sink, table.schema, compression="zstd") as writer:
+        for rows in parts:
+            if rows:
+                writer.write_table(table.from_rows(rows))
     return sink.getvalue().to_pybytes()
+
+
+def _by_day(records: list[tuple[str, Record]]) -> Iterator[list[tuple[str, Record]]]:
+    """The records of one day after the other, as they lie."""
+    for _, of_day in groupby(records, key=itemgetter(0)):
+        yield list(of_day)
 
 
 def _quoted(text: str) -> str:
