@@ -41,6 +41,7 @@ def study(repeats: int, workers: int) -> list[dict[str, Any]]:
     from wheelset_assets.config import FilteringConfig
     from wheelset_assets.metrology import filtering
     from wheelset_assets.metrology.grids import nan_mean
+    from wheelset_assets.stages.cloud import smooth
 
     knobs = FilteringConfig()
     depth, edge = truth()
@@ -49,15 +50,7 @@ def study(repeats: int, workers: int) -> list[dict[str, Any]]:
     seen[random.random(seen.shape) < 0.003] = np.nan
 
     def smoother(kind: str) -> Callable[[Array], filtering.Smoothed]:
-        return lambda z: filtering.smooth(
-            z,
-            kind,
-            window_rows=knobs.window_rows,
-            window_frames=knobs.window_frames,
-            sigma_rows=knobs.gaussian_sigma_rows,
-            range_mm=knobs.bilateral_um * 1e-3,
-            edge_mm=knobs.edge_mm,
-        )
+        return lambda z: smooth(z, knobs, NOISE_MM, 0.0, kind)
 
     rows = []
     for kind in KINDS:

@@ -112,7 +112,10 @@ class FilteringConfig(Section):
     edge_mm: float = Field(
         0.3,
         gt=0,
-        description="Mean and Gaussian: neighbours on both sides whose mean departs by more belong to another surface; some eight times the noise",
+        description="Mean and Gaussian: neighbours on both sides whose mean departs by more belong to another surface",
+    )
+    edge_sigmas: float = Field(
+        6.0, ge=5, description="The same in standard uncertainties of a point's depth, where that is more than edge_mm"
     )
     window_rows: int = Field(5, ge=1, description="Smoothing window along rows (odd)")
     window_frames: int = Field(

@@ -38,7 +38,7 @@ def depth(
     from pipelines.experiments.grids import FILTERS, depth_grid, noise_um, scan_source
     from pipelines.experiments.output import new_figure, tell, write
     from wheelset_assets.config import load_config
-    from wheelset_assets.metrology import filtering
+    from wheelset_assets.stages.cloud import smooth
 
     knobs = load_config(config).filtering
     with scan_source(scan, warehouse) as source:
@@ -49,15 +49,7 @@ def depth(
     rows: list[dict[str, Any]] = []
     drawing, axes = new_figure(9, 3.8)
     for kind in FILTERS:
-        made = filtering.smooth(
-            grid.depth_mm,
-            kind,
-            window_rows=knobs.window_rows,
-            window_frames=knobs.window_frames,
-            sigma_rows=knobs.gaussian_sigma_rows,
-            range_mm=knobs.bilateral_um * 1e-3,
-            edge_mm=knobs.edge_mm,
-        ).depth_mm[:, row]
+        made = smooth(grid.depth_mm, knobs, grid.noise_mm, grid.correlation, kind).depth_mm[:, row]
         known = made[np.isfinite(made)]
         rows.append(
             {

@@ -25,10 +25,12 @@ FILTERS = ("none", "median", "mean", "gaussian", "bilateral")
 
 @dataclass(frozen=True)
 class DepthGrid:
-    """Triangulated depth (frames, rows) of one sensor's first line in mm, lateral place of its rows in the sensor, what it is."""
+    """Triangulated depth (frames, rows) of one sensor's first line in mm, lateral place of its rows in the sensor, median
+    standard uncertainty of a depth, correlation of neighbouring rows' noise, and what it is."""
 
     depth_mm: Array
     across_mm: Array
+    noise_mm: float
     correlation: float
     of: str
 
@@ -77,7 +79,9 @@ def depth_grid(source: Source, sensor: str | None) -> DepthGrid:
     statistics: list[dict[str, Any]] = source.rows("stripe_statistics")
     length = next((r["noise_correlation_rows"] for r in statistics if r["sensor_id"] == wanted), None) or 1.0
     across = nan_median(grid.y, axis=0)
-    return DepthGrid(z, across, (length - 1) / (length + 1), f"{source.scan_id}, sensor {wanted}")
+    return DepthGrid(
+        z, across, float(np.nanmedian(grid.u_mm)), (length - 1) / (length + 1), f"{source.scan_id}, sensor {wanted}"
+    )
 
 
 def noise_um(depth_mm: Array) -> float:

@@ -33,7 +33,7 @@ def smoothing(
     from pipelines.experiments.grids import FILTERS, depth_grid, noise_um, scan_source
     from pipelines.experiments.output import new_figure, tell, write
     from wheelset_assets.config import load_config
-    from wheelset_assets.metrology import filtering
+    from wheelset_assets.stages.cloud import smooth
 
     knobs = load_config(config).filtering
     with scan_source(scan, warehouse) as source:
@@ -43,16 +43,7 @@ def smoothing(
     drawing, axes = new_figure(9, 6, 2, 1)
     frame = int(np.isfinite(z).sum(axis=1).argmax())
     for kind in FILTERS:
-        made = filtering.smooth(
-            z,
-            kind,
-            window_rows=knobs.window_rows,
-            window_frames=knobs.window_frames,
-            sigma_rows=knobs.gaussian_sigma_rows,
-            noise_correlation=grid.correlation,
-            range_mm=knobs.bilateral_um * 1e-3,
-            edge_mm=knobs.edge_mm,
-        )
+        made = smooth(z, knobs, grid.noise_mm, grid.correlation, kind)
         bias = _mean(made.depth_mm) - _mean(z)
         bias = bias[np.isfinite(bias)]
         noise = noise_um(made.depth_mm)

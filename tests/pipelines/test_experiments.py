@@ -76,6 +76,20 @@ def test_depth_at_a_place_of_a_stored_scan_stands_beside_the_papers(tmp_path, ti
     assert "71.6318" in shown
 
 
+def test_smoothing_of_a_stored_scan_finds_the_noise_that_is_claimed(tmp_path, tiny):
+    scan = ("--scan", a_measured_scan(tiny), "--warehouse", tiny.warehouse)
+    _, text = call("smoothing", *scan, "--json", "--out", tmp_path)
+    rows = {row["filter"]: row for row in json.loads(text)["rows"]}
+    assert rows["none"]["noise_factor"] == rows["none"]["claimed_factor"] == 1
+    for kind in (
+        "mean",
+        "gaussian",
+    ):  # rows are a millimetre apart: what is left of the course over the turn adds a little
+        assert rows[kind]["claimed_factor"] - 0.03 < rows[kind]["noise_factor"] < rows[kind]["claimed_factor"] + 0.1
+        assert rows[kind]["points_lost"] == 0
+    assert (tmp_path / "smoothing.png").stat().st_size > 10_000
+
+
 def test_an_unknown_sensor_is_named_with_those_there_are(tmp_path, tiny):
     with pytest.raises(ConfigError, match="no sensor front; it has left_journal"):
         call(

@@ -84,16 +84,7 @@ def run_filtered_clouds(
         z = np.where(reason > 0, np.nan, grid.z)
         integral = length.get((grid.sensor_id, grid.line)) or 1.0
         correlation = (integral - 1) / (integral + 1)  # first-order autoregressive noise of that integral length
-        smoothed = filtering.smooth(
-            z,
-            config.smoothing,
-            window_rows=config.window_rows,
-            window_frames=config.window_frames,
-            sigma_rows=config.gaussian_sigma_rows,
-            noise_correlation=correlation,
-            range_mm=config.bilateral_um * 1e-3,
-            edge_mm=config.edge_mm,
-        )
+        smoothed = smooth(z, config, float(np.nanmedian(grid.u_mm)), correlation)
         rows_seen = grid.first_row + grid.z.shape[1]
         keep = filtering.thin(np.isfinite(smoothed.depth_mm), max(1, round(rows_seen / config.max_rows)))
         kept_parts.append(_kept(grid, smoothed, keep))
@@ -105,6 +96,26 @@ def run_filtered_clouds(
         "filtered_clouds": kept,
         "removed_points": pa.concat_tables(removed_parts).unify_dictionaries().combine_chunks(),
     }
+
+
+def smooth(
+    depth_mm: Array, config: FilteringConfig, noise_mm: float, correlation: float, kind: str | None = None
+) -> filtering.Smoothed:
+    """Depths (frames, rows) smoothed as configured, or by another kind of filter.
+
+    noise_mm: standard uncertainty of a depth: where it is coarse, an edge must stand out of it to end a window.
+    correlation: of the noise of neighbouring rows.
+    """
+    return filtering.smooth(
+        depth_mm,
+        kind or config.smoothing,
+        window_rows=config.window_rows,
+        window_frames=config.window_frames,
+        sigma_rows=config.gaussian_sigma_rows,
+        noise_correlation=correlation,
+        range_mm=config.bilateral_um * 1e-3,
+        edge_mm=max(config.edge_mm, config.edge_sigmas * noise_mm),
+    )
 
 
 def _reasons(z: Array, config: FilteringConfig) -> NDArray[np.int8]:
