@@ -31,10 +31,21 @@ class MeridianGrid:
     """Mean direction of the points about the axle, from +Y towards +Z."""
     u_mm: Array
     """Standard uncertainty of each point along its line of sight."""
+    first_row: int = 0
+    row_step: int = 1
+    """Column k of the grid is image row first_row + k row_step."""
 
 
 def to_meridian(
-    sensor_id: str, line: int, x: Array, y: Array, z: Array, u_mm: Array, rig_from_sensor: Array
+    sensor_id: str,
+    line: int,
+    x: Array,
+    y: Array,
+    z: Array,
+    u_mm: Array,
+    rig_from_sensor: Array,
+    first_row: int = 0,
+    row_step: int = 1,
 ) -> MeridianGrid:
     """Meridian coordinates of sensor-frame grids (frames, rows) in mm.
 
@@ -51,7 +62,7 @@ def to_meridian(
             np.add(here, row[3], out=made[part])
     seen = np.isfinite(across)
     direction = float(np.degrees(np.arctan2(up[seen].sum(), across[seen].sum()))) if seen.any() else float("nan")
-    return MeridianGrid(sensor_id, line, lateral, np.hypot(across, up, out=up), direction, u_mm)
+    return MeridianGrid(sensor_id, line, lateral, np.hypot(across, up, out=up), direction, u_mm, first_row, row_step)
 
 
 def meridian_motion(

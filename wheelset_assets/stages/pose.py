@@ -44,7 +44,9 @@ nominal pose's error in the directions on which one stripe is silent shifts them
 def station_grids(cloud: pa.Table, poses: Mapping[View, Array], n_frames: int) -> dict[View, MeridianGrid]:
     """Meridian grids of every view that has points and a pose."""
     return {
-        (g.sensor_id, g.line): to_meridian(g.sensor_id, g.line, g.x, g.y, g.z, g.u_mm, poses[g.sensor_id, g.line])
+        (g.sensor_id, g.line): to_meridian(
+            g.sensor_id, g.line, g.x, g.y, g.z, g.u_mm, poses[g.sensor_id, g.line], g.first_row, g.row_step
+        )
         for g in grids(cloud, n_frames)
         if (g.sensor_id, g.line) in poses
     }
@@ -405,6 +407,7 @@ def _fused_profile(station: StationScan, motions: dict[View, Array | None]) -> p
         parts.append((*view, row, curves[view], mean))
     made = []
     for name, line, row, curve, mean in parts:
+        grid = station.grids[name, line]
         residual = np.full(len(row), np.nan)
         for other, other_curve in curves.items():
             if other != (name, line) and len(row) and len(other_curve) > 10:
@@ -417,7 +420,7 @@ def _fused_profile(station: StationScan, motions: dict[View, Array | None]) -> p
                     "station": [station.station.station] * len(row),
                     "sensor_id": [name] * len(row),
                     "line": np.full(len(row), line, np.int8),
-                    "row": row.astype(np.int16),
+                    "row": (grid.first_row + row * grid.row_step).astype(np.int16),
                     "lateral_mm": curve[:, 0],
                     "radial_mm": curve[:, 1],
                     "u_um": mean.u_mm[row] * 1e3,

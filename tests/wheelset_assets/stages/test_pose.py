@@ -149,6 +149,24 @@ def test_fused_profiles_of_two_sensors_agree_within_their_noise(exact, station):
     assert 0.3 < np.sqrt(np.median(residual**2)) / (0.67 * np.median(u)) < 3
 
 
+def test_fused_profiles_name_the_rows_of_the_image(world, exact):
+    """Of rows that were thinned, and begin late: each fused row holds the mean of the points of that image row."""
+    cloud = exact.tables.filtered_clouds
+    row = cloud["row"].to_numpy()
+    cloud = cloud.filter((row > 40) & (row % 2 == 1))
+    found = world.pose(exact, cloud).fused_profiles.to_pylist()
+    for name in ("left_journal", "left_wheel_inner"):
+        nominal, _ = poses(world, exact, name)
+        own = cloud.filter(np.array(cloud["sensor_id"].to_pylist()) == name)
+        points = rigid.apply(nominal, np.column_stack([own[f"{a}_mm"].to_numpy() for a in "xyz"]))
+        fused = [p for p in found if p["sensor_id"] == name]
+        assert len(fused) > 20
+        for p in fused[:: len(fused) // 10]:
+            seen = points[own["row"].to_numpy() == p["row"]]
+            assert len(seen) == pytest.approx(p["n_frames"], abs=3)
+            assert np.median(seen[:, 0]) == pytest.approx(p["lateral_mm"], abs=0.1)
+
+
 def test_single_sensors_are_their_own_target(exact):
     for station in ("left_journal", "right_journal"):
         row = one(exact.tables.registrations, station=station)
