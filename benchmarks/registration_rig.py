@@ -7,7 +7,8 @@ What is judged, the placement in the meridian: where does the registered station
 saw, against the points that the target saw? Each sensor's true pose says where on the true meridian (along the axle,
 distance from the true axis of rotation) its points lie. The registered station's meridian, laid on the true one by the
 target's own points (a motion in the plane: the station's squaring is another stage's work), must put the source's
-points there. What is left is fitted with a lateral shift, a radial shift and a rotation. A difference of the two
+points there. What is left is fitted with a lateral shift, a radial shift and a rotation, by what lies across the surface:
+along it a meridian slides over itself. A difference of the two
 *three-dimensional* relative poses would ask for more than a stripe can tell: a turn of the target about the radial
 direction, up to 1 degree and unknown, acts on the millimetres between both laser planes. It is printed beside.
 """
@@ -139,10 +140,11 @@ def _errors(
         }
         seen[name, line] = _points(cloud, name, line, rows)
     p_source, p_target = seen[source, row["source_line"]], seen[target, row["target_line"]]
-    station = _planar_fit(_meridian(nominal[target], p_target), _meridian(actual[target], p_target))
+    target_truth, truth = _meridian(actual[target], p_target), _meridian(actual[source], p_source)
+    station = _fit_across(_meridian(nominal[target], p_target), target_truth, _normals(target_truth))
     placed = _moved(station, _meridian(nominal[target] @ relative, p_source))
-    truth = _meridian(actual[source], p_source)
-    turn, shift = _planar_fit(truth, placed, about=truth.mean(axis=0))
+    about = truth.mean(axis=0)
+    turn, shift = _fit_across(truth - about, placed - about, _normals(truth))
     off = np.linalg.inv(actual[target]) @ actual[source]
     apart = actual[target][:3, :3] @ (
         (relative[:3, :3] - off[:3, :3]) @ p_source.mean(axis=0) + relative[:3, 3] - off[:3, 3]
@@ -164,14 +166,28 @@ def _meridian(rig_from_sensor: Array, points: Array) -> Array:
     return np.column_stack([p[:, 0], np.hypot(p[:, 1], p[:, 2])])
 
 
-def _planar_fit(a: Array, b: Array, about: Array | None = None) -> tuple[float, Array]:
-    """Rotation (rad) and shift that bring a (n, 2) onto b; the shift is that of the point `about` (default: the origin)."""
-    ca, cb = a.mean(axis=0), b.mean(axis=0)
-    p, q = a - ca, b - cb
-    angle = float(np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum()))
-    return angle, _moved((angle, np.zeros(2)), -ca[None] + (0 if about is None else about))[0] + cb - (
-        0 if about is None else about
-    )
+def _normals(meridian: Array, reach: int = 6) -> Array:
+    """Unit normals (n, 2) of a meridian (n, 2) in the order of its rows, over a few neighbours."""
+    at = np.arange(len(meridian))
+    along = meridian[np.minimum(at + reach, at[-1])] - meridian[np.maximum(at - reach, 0)]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    return np.column_stack([-along[:, 1], along[:, 0]])
+
+
+def _fit_across(a: Array, b: Array, normals: Array) -> tuple[float, Array]:
+    """Rotation (rad) about the origin and shift that bring a (n, 2) onto b, by the distances along the normals (n, 2) alone.
+
+    Along the surface a meridian slides over itself, which no stripe can tell; only what is across it counts.
+    """
+    motion: tuple[float, Array] = (0.0, np.zeros(2))
+    for _ in range(5):
+        moved = _moved(motion, a)
+        away = np.einsum("nk,nk->n", normals, b - moved)
+        turned = normals[:, 1] * moved[:, 0] - normals[:, 0] * moved[:, 1]
+        step = np.linalg.lstsq(np.column_stack([turned, normals]), away, rcond=None)[0]
+        shift = _moved((step[0], np.zeros(2)), motion[1][None])[0] + step[1:]
+        motion = (motion[0] + float(step[0]), shift)
+    return motion
 
 
 def _moved(motion: tuple[float, Array], points: Array) -> Array:

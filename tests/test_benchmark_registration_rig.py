@@ -19,12 +19,14 @@ def test_sixteen_rigs_are_registered_within_what_is_claimed_and_not_suspiciously
         assert abs(line["bias"]) < 4 * line["rms"] / 4
 
 
-def test_the_planar_fit_finds_a_known_motion():
+def test_the_fit_across_the_surface_finds_a_known_motion_and_ignores_what_slides():
     random = np.random.default_rng(0)
-    a = random.normal(size=(20, 2)) * 30
+    angle = np.linspace(0.2, 2.4, 60)
+    a = 30 * np.column_stack([np.cos(angle), 0.6 * np.sin(angle)])
     b = bench._moved((0.01, np.array([0.2, -0.1])), a)
-    turn, shift = bench._planar_fit(a, b)
-    assert np.allclose([turn, *shift], [0.01, 0.2, -0.1])
-    about = a.mean(axis=0)
-    _, there = bench._planar_fit(a, b, about=about)
-    assert np.allclose(there, b.mean(axis=0) - about)
+    normals = bench._normals(b, reach=1)
+    along = np.column_stack([normals[:, 1], -normals[:, 0]])
+    slid = b + 0.05 * random.normal(size=(60, 1)) * along
+    for there in (b, slid):
+        turn, shift = bench._fit_across(a, there, normals)
+        assert np.allclose([turn, *shift], [0.01, 0.2, -0.1], atol=1e-9)
