@@ -11,7 +11,15 @@ from typing import Annotated, Any
 import typer
 
 from pipelines.experiments import experiment_app
-from pipelines.options import ConfigOption, InboxOption, JsonOption, ScanArgument, WarehouseOption, print_json
+from pipelines.options import (
+    ConfigOption,
+    InboxOption,
+    JsonOption,
+    ScanArgument,
+    WarehouseOption,
+    did_you_mean,
+    print_json,
+)
 from pipelines.settings import settings
 from pipelines.tools import tool_app
 from pipelines.upkeep import add_to, check_warehouse
@@ -176,14 +184,7 @@ def _check_scans(inbox: Path, wanted: frozenset[str]) -> None:
 
     known = {entry.identifier for entry in Inbox(inbox).scans()}
     if missing := sorted(wanted - known):
-        raise ConfigError(f"--scan {missing[0]}: no such scan in {inbox / 'scans'}{_nearest(missing[0], known)}")
-
-
-def _nearest(name: str, known: set[str]) -> str:
-    import difflib
-
-    close = difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.4)
-    return f"; did you mean {', '.join(close)}?" if close else ""
+        raise ConfigError(f"--scan {missing[0]}: no such scan in {inbox / 'scans'}{did_you_mean(missing[0], known)}")
 
 
 def _moment(text: str | None) -> datetime | None:

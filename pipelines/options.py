@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import difflib
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from warehouse.place import place
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Words with the names that are near one that is not known; nothing if none is."""
+    close = difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.4)
+    return f"; did you mean {', '.join(close)}?" if close else ""
+
 
 InboxOption = Annotated[
     Path | None,

@@ -5,7 +5,6 @@ Every statement goes through the same read-only gate as `wheelset sql "…"`.
 
 from __future__ import annotations
 
-import difflib
 import re
 import sys
 from collections.abc import Callable, Iterable
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipelines.ask import FORMATS, ask, open_read_only
+from pipelines.options import did_you_mean
 from wheelset_assets.quality import ConfigError
 
 if TYPE_CHECKING:
@@ -113,8 +113,7 @@ class Shell:
 
     def _schema(self, view: str | None) -> None:
         if view not in self.columns:
-            close = difflib.get_close_matches(view or "", sorted(self.columns), n=3, cutoff=0.4)
-            hint = f"; did you mean {', '.join(close)}?" if close else ""
+            hint = did_you_mean(view or "", self.columns)
             raise ConfigError(f".schema: expected a view that .tables lists; found {view or 'none'}{hint}")
         width = max(len(column) for column, _, _ in self.columns[view])
         kinds = max(len(kind) for _, kind, _ in self.columns[view])

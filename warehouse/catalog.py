@@ -30,7 +30,7 @@ from warehouse.catalog_tables import (
     status_rows,
 )
 from warehouse.limits import LIMITS, fingerprint, read_limits
-from warehouse.lineage import CALIBRATION_DAY, FLEET_DAY, UNDATED, Ledger, Record
+from warehouse.lineage import Ledger, Record
 from warehouse.reviews import reference_rows, reviews_fingerprint, store_reviews
 from wheelset_assets.declare import ARROW_TYPES, Table
 from wheelset_assets.quality import ConfigError
@@ -193,8 +193,7 @@ def build(root: Path, ledger: Ledger, reviews: list[Path] | None = None) -> Path
 
 
 def _all_records(ledger: Ledger) -> list[tuple[str, Record]]:
-    days = [CALIBRATION_DAY, *ledger.days(), UNDATED, FLEET_DAY]
-    return [(day, record) for day in days for record in ledger.day(day).records()]
+    return [(day, record) for day in ledger.all_days() for record in ledger.day(day).records()]
 
 
 def _fill(

@@ -13,7 +13,7 @@ from warehouse import catalog, store
 from warehouse.audit import key_is_unique
 from warehouse.inbox import Inbox
 from warehouse.light import LIGHT, rows_by_unit
-from warehouse.lineage import BUNDLE, CALIBRATION_DAY, FLEET_DAY, UNDATED, DayLedger, Ledger, Output
+from warehouse.lineage import BUNDLE, CALIBRATION_DAY, DayLedger, Ledger, Output
 from warehouse.store import VERSION_DIGITS, files_of, sha256_file
 from wheelset_assets.declare import Table
 from wheelset_assets.quality import ConfigError, ScanUnusable
@@ -24,7 +24,7 @@ def verify(root: Path, inbox: Path | None) -> dict[str, Any]:
     """Counts and the list of what is broken: files missing, files that do not hash to their name, changed bundles."""
     ledger = Ledger(root)
     named: set[str] = set()
-    for day in [CALIBRATION_DAY, *ledger.days(), UNDATED, FLEET_DAY]:
+    for day in ledger.all_days():
         for record in ledger.day(day).records():
             named |= {o.path for o in record.outputs if o.path}
     broken = []

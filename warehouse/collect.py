@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from warehouse import catalog, store
-from warehouse.lineage import CALIBRATION_DAY, FLEET_DAY, UNDATED, DayLedger, Ledger, Record
+from warehouse.lineage import DayLedger, Ledger, Record
 from warehouse.lock import WarehouseLock
 from warehouse.place import is_remote
 from wheelset_assets.quality import ConfigError
@@ -84,7 +84,7 @@ def collect(root: Path, retention: Retention, delete: bool, now: datetime | None
         ledger = Ledger(root)
         found = Collected(deleted=delete)
         named: set[str] = set()
-        for day in [CALIBRATION_DAY, *ledger.days(), UNDATED, FLEET_DAY]:
+        for day in ledger.all_days():
             records = ledger.day(day)
             outdated_records = retention.outdated(records, now or datetime.now(UTC))
             outdated = {id(record) for record in outdated_records}

@@ -157,6 +157,10 @@ class Ledger:
         names = {p.stem.removeprefix("day=") for p in self.folder.glob("day=*.parquet")} | set(self._days)
         return sorted(names - {CALIBRATION_DAY, FLEET_DAY, UNDATED})
 
+    def all_days(self) -> list[str]:
+        """Every day file: calibrations first, acquisition days, undated bundles, fleet."""
+        return [CALIBRATION_DAY, *self.days(), UNDATED, FLEET_DAY]
+
     def records_of(self, stage: str) -> Iterator[tuple[str, Record]]:
         """Day and current record of a stage over all scans. Of days that are not in memory, nothing else is read."""
         for day in [*self.days(), UNDATED]:
