@@ -7,6 +7,7 @@ import json
 import re
 import sys
 from dataclasses import asdict
+from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,9 +26,12 @@ _EXPLAIN = re.compile(
 )
 
 
-def open_read_only(root: Path) -> duckdb.DuckDBPyConnection:
-    """Connection that can read the warehouse's folder and nothing else, and write nothing."""
-    connection = catalog.connect(root)
+def open_read_only(root: Path, moment: datetime | None = None) -> duckdb.DuckDBPyConnection:
+    """Connection that can read the warehouse's folder and nothing else, and write nothing there.
+
+    With a moment, of the measurements as they were then.
+    """
+    connection = catalog.connect(root) if moment is None else catalog.as_of(root, moment)
     folder = f"{root.resolve()}/".replace("'", "''")
     connection.execute("SET TimeZone = 'UTC'")
     connection.execute(f"SET allowed_directories = ['{folder}']")

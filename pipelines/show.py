@@ -241,6 +241,7 @@ def write_report(
     moment: datetime | None = None,
 ) -> int:
     """Compute a report, of the measurements of a moment if one is given, and write it in a format; `all` writes a site."""
+    from pipelines.ask import open_read_only
     from warehouse import report
 
     parameters = dict(parameters or {}) | ({} if moment is None else {"as_of": moment.isoformat()})
@@ -254,17 +255,10 @@ def write_report(
     else:
         if name not in report.REPORTS:
             raise ConfigError(f"report {name!r}: expected one of {', '.join(report.REPORTS)}, or all")
-        connection = _connection(s, moment)
+        connection = open_read_only(s.warehouse, moment)
         _check_known(connection, parameters)
         made = report.build(connection, name, parameters)
     return _deliver(made, format_, out, block)
-
-
-def _connection(s: Settings, moment: datetime | None) -> Any:
-    from pipelines.ask import open_read_only
-    from warehouse import catalog
-
-    return open_read_only(s.warehouse) if moment is None else catalog.as_of(s.warehouse, moment)
 
 
 def write_diff(s: Settings, version_a: str, version_b: str, format_: str, out: Path | None) -> int:
@@ -310,6 +304,7 @@ def _write_site(
     s: Settings, format_: str, out: Path | None, parameters: dict[str, str | None], moment: datetime | None
 ) -> int:
     """The reports as a folder of pages, or of files in another format."""
+    from pipelines.ask import open_read_only
     from pipelines.progress import Bars
     from warehouse import report
     from warehouse.render import render
@@ -319,7 +314,7 @@ def _write_site(
         raise ConfigError("report all: name the folder to write by --out")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: expected a folder")
-    connection = _connection(s, moment)
+    connection = open_read_only(s.warehouse, moment)
     _check_known(connection, parameters)
     if format_ not in ("table", "html"):
         for name in report.REPORTS:

@@ -428,6 +428,11 @@ def test_queries_in_every_format(
     for words in ((query, "--format", "xml"), (query, "--file", file), (), ("--file", tmp_path / "no.sql")):
         assert wheelset("sql", *words, *there).code == 2, words
     assert wheelset("sql", query, *there, "--out", tmp_path / "q.sql" / "x").code == 2
+    for moment, some in (("2024-01-01", False), ("2999-01-02", True)):
+        made = wheelset("report", "stability", "--as-of", moment, *there, "--json").json
+        assert bool(made["blocks"]["over_all"]["rows"]) == some
+        assert made["parameters"]["as_of"].startswith(moment[:10])
+    assert wheelset("report", "stability", "--as-of", "yesterday", *there).code == 2
     monkeypatch.setattr(sys, "stdin", io.StringIO("SELECT 1 AS a"))
     assert wheelset("sql", *there, "--json").json == [{"a": 1}]
     assert "scan_id" in wheelset("sql", ".schema measurements", *there).out
