@@ -243,6 +243,11 @@ class MeasurementConfig(Section):
     max_scatter_um: float = Field(
         200.0, gt=0, description="Frames that scatter more than this about their harmonics give no value"
     )
+    uneven_floor_um: float = Field(
+        4.0,
+        gt=0,
+        description="Frames that scatter about their harmonics by more than their own noise, and than this, flag an uneven turn",
+    )
     min_coverage: float = Field(0.6, gt=0, le=1, description="Smallest share of the turn")
     max_gap_deg: float = Field(100.0, gt=0, description="Largest gap of the turn")
     min_frames: int = Field(8, ge=4, description="Fewer frames give no value")

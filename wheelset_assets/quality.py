@@ -75,6 +75,8 @@ class Flag(IntFlag):
     """A laser plane lies elsewhere than in the reference scan under the same calibration: a laser or a camera turned."""
     CAMERAS_OUT_OF_STEP = 1 << 19
     """A sensor's two cameras saw different instants in more frames than chance explains, or their frames were damaged."""
+    UNEVEN_TURN = 1 << 20
+    """Frames scatter about the turn's harmonics by more than their own noise: out of order, at wrong angles, or a fine shape."""
 
     def names(self) -> list[str]:
         """Lower-case names of the bits that are set, in the order of the registry."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology.datum import Line, find_cylinder, find_face
+from wheelset_assets.metrology.frame_series import FrameSeries, frame_series
 from wheelset_assets.metrology.reading import (
     DatumSettings,
     Meridians,
@@ -18,10 +19,10 @@ from wheelset_assets.metrology.reading import (
     TurnSettings,
     described,
     face_series,
-    frame_series,
     jackknife,
     mean_at,
     refuse,
+    uneven,
     unsupported,
 )
 from wheelset_assets.metrology.revolution import HarmonicFit, MeridianGrid, fit_harmonics
@@ -86,8 +87,8 @@ def _shoulder(
         return None
     mask = meridians.inside(face, 1, settings.datum.edge_margin_mm)
     level = mean_at(meridians.lateral, meridians.weight, mask)
-    about = described(fit, series, settings)
-    turn = spectrum(body_deg, series, fit.used, settings.runout_order)
+    about = described(fit, series, settings, uneven(fit.scatter, fit.freedom, series, settings))
+    turn = spectrum(body_deg, series.value_mm, fit.used, settings.runout_order)
     mean, u_mean = (turn.mean, turn.u_mean) if turn else (fit.mean, fit.u_mean)
     found.readings.extend(
         [
@@ -101,7 +102,7 @@ def _shoulder(
         wobble = peak_to_peak(turn, 1, 1)
         found.readings.append(Reading("shoulder_squareness", side, wobble.value, wobble.u, **about))
         found.spectra["shoulder_lateral"] = turn
-    found.turns.append(Turn("shoulder_lateral", level + series, fit.used, level + fit.fitted))
+    found.turns.append(Turn("shoulder_lateral", level + series.value_mm, fit.used, level + fit.fitted))
     return level + mean
 
 
@@ -122,7 +123,7 @@ def _cylinder(
         found.readings.extend(refuse((*CYLINDER_QUANTITIES, *SECTION_QUANTITIES), side, f"journal: {turn}"))
         return
     series, fit, harmonics = turn
-    about = described(fit, series, settings)
+    about = described(fit, series, settings, uneven(fit.scatter, fit.freedom, series, settings))
     level = mean_at(meridians.radial, meridians.weight, mask)
     ovality, roundness = _oval(harmonics), peak_to_peak(harmonics, 2)
     more = [
@@ -136,7 +137,7 @@ def _cylinder(
     else:
         found.readings.append(Reading("journal_ovality", side, ovality.value, ovality.u, **about))
         found.readings.append(Reading("journal_roundness", side, roundness.value, roundness.u, **about))
-    found.turns.append(Turn("journal_radius", level + series, fit.used, level + fit.fitted))
+    found.turns.append(Turn("journal_radius", level + series.value_mm, fit.used, level + fit.fitted))
     found.spectra["journal_radius"] = harmonics
     if shoulder_mm is None:
         why = "the sections count from the shoulder, which was not seen"
@@ -147,13 +148,13 @@ def _cylinder(
 
 def _turn(
     meridians: Meridians, mask: Mask, angle_deg: Array, body_deg: Array, settings: TurnSettings
-) -> tuple[Array, HarmonicFit, Spectrum] | str:
+) -> tuple[FrameSeries, HarmonicFit, Spectrum] | str:
     """Radius of the masked rows frame by frame against their mean meridian, robust fit and harmonics; or why not."""
-    series = frame_series(meridians, mask, "radial_mm", [m.radial_mm for m in meridians.means])
-    fit = fit_harmonics(angle_deg, series, settings.runout_order, settings.exclude_sigmas)
+    series = frame_series(meridians, mask, "radial_mm", [m.radial_mm for m in meridians.means], angle_deg)
+    fit = fit_harmonics(angle_deg, series.value_mm, settings.runout_order, settings.exclude_sigmas)
     if (reason := unsupported(fit, settings)) or fit is None:
         return reason or "too few frames see it"
-    harmonics = spectrum(body_deg, series, fit.used, settings.runout_order)
+    harmonics = spectrum(body_deg, series.value_mm, fit.used, settings.runout_order)
     return (series, fit, harmonics) if harmonics else "too few frames see it"
 
 

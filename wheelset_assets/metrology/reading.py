@@ -14,13 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology.datum import Line, find_face, straight_rows
+from wheelset_assets.metrology.frame_series import FULL_COVERAGE, FrameSeries, frame_series
 from wheelset_assets.metrology.profile import ProfileDefinition
-from wheelset_assets.metrology.revolution import HarmonicFit, MeridianGrid, fit_harmonics, frame_offsets, mean_meridian
+from wheelset_assets.metrology.revolution import HarmonicFit, MeridianGrid, fit_harmonics, mean_meridian
 from wheelset_assets.metrology.roundness import Flat, Spectrum
 from wheelset_assets.quality import Flag
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
+
+UNEVEN_LEVEL = 1e-4
+"""Chance of noise alone to call a turn uneven."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class TurnSettings:
     outlier_flag_ratio: float
     spectrum_order: int = 30
     max_scatter_mm: float = 0.2
+    uneven_floor_mm: float = 0.004
     hollow_to_mm: float = 130.0
     journal_sections_mm: tuple[float, ...] = (25.0, 95.0)
     section_half_width_mm: float = 5.0
@@ -216,23 +221,6 @@ def wheel_face(meridians: Meridians, outward: float, s: DatumSettings) -> Line |
     )
 
 
-def frame_series(meridians: Meridians, mask: Mask, values: str, expected: list[Array]) -> Array:
-    """Offset of each frame from what is expected, over the masked rows of all sensors, weighted by their points."""
-    n_frames = len(meridians.grids[0].lateral_mm)
-    total, weight = np.zeros(n_frames), np.zeros(n_frames)
-    for k, grid in enumerate(meridians.grids):
-        rows = meridians.rows(mask, k)
-        if rows.any():
-            offset, count = frame_offsets(getattr(grid, values), expected[k], rows)
-            total = total + np.where(np.isfinite(offset), offset * count, 0.0)
-            weight = weight + np.where(np.isfinite(offset), count, 0)
-    if not (weight > 0).any():
-        return np.full(n_frames, np.nan)
-    enough = weight >= 0.25 * np.median(weight[weight > 0])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(enough & (weight > 0), total / weight, np.nan)
-
-
 def unsupported(fit: HarmonicFit | None, settings: TurnSettings) -> str | None:
     """Why a harmonic fit does not support a value, or None."""
     if fit is None:
@@ -251,11 +239,12 @@ def unsupported(fit: HarmonicFit | None, settings: TurnSettings) -> str | None:
     return None
 
 
-def described(fit: HarmonicFit, series: Array, settings: TurnSettings) -> dict:
-    seen = np.isfinite(series)
+def described(fit: HarmonicFit, series: FrameSeries, settings: TurnSettings, more: Flag = Flag.NONE) -> dict:
+    """What a reading says beside its value: frames, coverage, excluded share, flags."""
+    seen = np.isfinite(series.value_mm)
     excluded = 1.0 - fit.used.sum() / max(seen.sum(), 1)
-    flags = Flag.NONE
-    if fit.coverage_ratio < 0.95:
+    flags = series.flags | more
+    if fit.coverage_ratio < FULL_COVERAGE:
         flags |= Flag.COVERAGE_GAP
     if excluded > settings.outlier_flag_ratio:
         flags |= Flag.OUTLIERS
@@ -267,6 +256,23 @@ def described(fit: HarmonicFit, series: Array, settings: TurnSettings) -> dict:
         "excluded_ratio": float(excluded),
         "flags": flags,
     }
+
+
+def uneven(scatter_mm: float, freedom: int, series: FrameSeries, settings: TurnSettings) -> Flag:
+    """UNEVEN_TURN if frames scatter about their harmonics by more than the noise that their rows show.
+
+    scatter_mm: standard deviation of the residuals, with `freedom` degrees of freedom. An F test whose level is so low
+    that noise alone does not flag a fleet; what lies below the floor is texture of the surface.
+    """
+    if not series.freedom or freedom < 1 or not np.isfinite(series.noise_mm):
+        return Flag.NONE
+    excess = float(np.sqrt(max(scatter_mm**2 - series.noise_mm**2, 0.0)))
+    if excess <= max(settings.uneven_floor_mm, series.noise_mm):
+        return Flag.NONE
+    from scipy.stats import f
+
+    limit = float(f.isf(UNEVEN_LEVEL, freedom, series.freedom))
+    return Flag.UNEVEN_TURN if scatter_mm**2 > limit * series.noise_mm**2 else Flag.NONE
 
 
 def jackknife(estimates: Array) -> float:
@@ -289,7 +295,8 @@ def refuse(quantities: tuple[str, ...], side: str, reason: str) -> list[Reading]
 
 def face_series(
     meridians: Meridians, face: Line, angle_deg: Array, settings: TurnSettings
-) -> tuple[HarmonicFit | None, Array]:
+) -> tuple[HarmonicFit | None, FrameSeries]:
+    """Where a face stands frame by frame against its mean, and the harmonics of that."""
     mask = meridians.inside(face, 1, settings.datum.edge_margin_mm)
-    series = frame_series(meridians, mask, "lateral_mm", [m.lateral_mm for m in meridians.means])
-    return fit_harmonics(angle_deg, series, settings.runout_order, settings.exclude_sigmas), series
+    series = frame_series(meridians, mask, "lateral_mm", [m.lateral_mm for m in meridians.means], angle_deg)
+    return fit_harmonics(angle_deg, series.value_mm, settings.runout_order, settings.exclude_sigmas), series

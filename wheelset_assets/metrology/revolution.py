@@ -209,6 +209,11 @@ class HarmonicFit:
     """Maximum minus minimum of the model over the turn."""
     u_peak_to_peak: float
 
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the scatter."""
+        return max(int(self.used.sum()) - 2 * len(self.cosine) - 1, 0)
+
 
 def coverage(angle_deg: Array) -> tuple[float, float]:
     """Share of the turn that the angles (n,) cover, and the largest gap in degrees.

@@ -49,6 +49,11 @@ class Spectrum:
         return len(self.cosine)
 
     @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the scatter."""
+        return max(self.n_frames - 2 * self.order - 1, 0)
+
+    @property
     def amplitude(self) -> Array:
         """Amplitude of each order (order,), noise included."""
         return np.hypot(self.cosine, self.sine)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology.datum import Line, find_face
+from wheelset_assets.metrology.frame_series import FrameSeries, frame_series, sensors_missed
 from wheelset_assets.metrology.profile import (
     ProfileValues,
     flange_top,
@@ -28,10 +29,10 @@ from wheelset_assets.metrology.reading import (
     TurnSettings,
     described,
     face_series,
-    frame_series,
     jackknife,
     mean_at,
     refuse,
+    uneven,
     unsupported,
     wheel_face,
 )
@@ -87,7 +88,7 @@ def read_wheel(
     if wheel.refused:
         return StationReading(refuse(WHEEL_READINGS, side, wheel.refused))
     fit = wheel.tread_fit
-    if fit is not None and not unsupported(fit, settings) and fit.used.sum() < np.isfinite(wheel.tread).sum():
+    if fit is not None and not unsupported(fit, settings) and fit.used.sum() < np.isfinite(wheel.tread.value_mm).sum():
         # Dirt and flats must not enter the mean meridian either.
         wheel = _Wheel(grids, angle_deg, side, outward, settings, fit.used)
         if wheel.refused:
@@ -127,12 +128,12 @@ class _Wheel:
         self.s = (self.meridians.lateral - self.level) * outward
         self.tread, self.tread_fit = self._tread()
 
-    def _tread(self) -> tuple[Array, HarmonicFit | None]:
+    def _tread(self) -> tuple[FrameSeries, HarmonicFit | None]:
         """Radius at the datum circle frame by frame, measured from the inner face of the same meridian."""
         meridians, settings = self.meridians, self.settings
         shape = tread_fit(self.s, meridians.radial, meridians.weight, settings.definition)
         if shape is None:
-            return np.full(len(self.angle_deg), np.nan), None
+            return FrameSeries(np.full(len(self.angle_deg), np.nan), float("nan"), 0, Flag.NONE), None
         band = np.abs(self.s - settings.definition.datum_mm) <= shape.half_width
         wobble = self.face_fit.fitted[:, None]  # offset of the face in each frame against its mean meridian
         expected = [
@@ -141,8 +142,9 @@ class _Wheel:
             else np.zeros((1, 1))
             for k, grid in enumerate(meridians.grids)
         ]
-        series = shape.value + frame_series(meridians, band, "radial_mm", expected)
-        return series, fit_harmonics(self.angle_deg, series, settings.runout_order, settings.exclude_sigmas)
+        about = frame_series(meridians, band, "radial_mm", expected, self.angle_deg)
+        series = replace(about, value_mm=shape.value + about.value_mm)
+        return series, fit_harmonics(self.angle_deg, series.value_mm, settings.runout_order, settings.exclude_sigmas)
 
     def readings(self, nominal: Nominal | str) -> StationReading:
         """Everything that the turn supports."""
@@ -157,29 +159,36 @@ class _Wheel:
             else f"nothing was seen {settings.definition.datum_mm:g} mm from the inner face"
         )
         turns = [
-            Turn("face_lateral", self.level + self.face_turn, self.face_fit.used, self.level + self.face_fit.fitted)
+            Turn(
+                "face_lateral",
+                self.level + self.face_turn.value_mm,
+                self.face_fit.used,
+                self.level + self.face_fit.fitted,
+            )
         ]
-        face_spectrum = spectrum(self.body_deg, self.face_turn, self.face_fit.used, settings.runout_order)
+        face_spectrum = spectrum(self.body_deg, self.face_turn.value_mm, self.face_fit.used, settings.runout_order)
         spectra = {"face_lateral": face_spectrum} if face_spectrum else {}
         fit = self.tread_fit
-        tread = spectrum(self.body_deg, self.tread, fit.used, settings.spectrum_order) if fit else None
+        tread = spectrum(self.body_deg, self.tread.value_mm, fit.used, settings.spectrum_order) if fit else None
         if reason or fit is None or tread is None:
             found += refuse(TREAD_QUANTITIES, side, f"tread: {reason or 'too few frames see it'}")
             return StationReading(found, turns, spectra, profile=self._rows(full, nominal), map=self._map())
-        about = described(fit, self.tread, settings)
+        about = described(fit, self.tread, settings, uneven(tread.scatter, tread.freedom, self.tread, settings))
         found += self._turn_readings(fit, tread, full, groups, faces, about)
         flats, some = self._flats(fit, about)
         found += some
-        found += self._profile_readings(full, groups, faces, nominal, about)
-        turns.append(Turn("tread_radius", self.tread, fit.used, fit.fitted))
+        everywhere = about | {"flags": about["flags"] | sensors_missed(self.meridians, self.angle_deg)}
+        found += self._profile_readings(full, groups, faces, nominal, everywhere)
+        turns.append(Turn("tread_radius", self.tread.value_mm, fit.used, fit.fitted))
         spectra["tread_radius"] = tread
         return StationReading(found, turns, spectra, flats, self._rows(full, nominal), self._map())
 
     def _at_the_face(self, groups: list[tuple[Array, Array]], faces: Array) -> list[Reading]:
         """Readings that need the inner face alone, and those of the outer face."""
         m, side = self.meridians, self.side
-        about = described(self.face_fit, self.face_turn, self.settings)
-        own = spectrum(self.body_deg, self.face_turn, self.face_fit.used, self.settings.runout_order)
+        fit, settings = self.face_fit, self.settings
+        about = described(fit, self.face_turn, settings, uneven(fit.scatter, fit.freedom, self.face_turn, settings))
+        own = spectrum(self.body_deg, self.face_turn.value_mm, self.face_fit.used, self.settings.runout_order)
         mean, u_mean = (own.mean, own.u_mean) if own else (self.face_fit.mean, self.face_fit.u_mean)
         runout = peak_to_peak(own) if own else Range(self.face_fit.peak_to_peak, self.face_fit.u_peak_to_peak)
         return [
@@ -260,9 +269,9 @@ class _Wheel:
 
     def _flats(self, fit: HarmonicFit, about: dict) -> tuple[list[Flat], list[Reading]]:
         """Flats, and depth and length of the deepest; zero where none was found, with what could have escaped as U."""
-        excluded = np.isfinite(self.tread) & ~fit.used
+        excluded = np.isfinite(self.tread.value_mm) & ~fit.used
         diameter = 2 * fit.mean
-        flats = find_flats(self.body_deg, self.tread - fit.fitted, excluded, fit.scatter, diameter)
+        flats = find_flats(self.body_deg, self.tread.value_mm - fit.fitted, excluded, fit.scatter, diameter)
         if flats:
             worst = flats[0]
             return flats, [

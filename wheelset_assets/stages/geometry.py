@@ -153,6 +153,7 @@ def _settings(config: MeasurementConfig) -> TurnSettings:
         config.outlier_flag_ratio,
         config.spectrum_order,
         config.max_scatter_um * 1e-3,
+        config.uneven_floor_um * 1e-3,
         config.hollow_to_mm,
         config.journal_sections_mm,
         config.section_half_width_mm,
