@@ -8,30 +8,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
 from datetime import datetime
-from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from warehouse import place, report, store
-from warehouse.catalog_tables import (
-    DERIVED,
-    LINEAGE,
-    REFERENCE_VALUES,
-    SCAN_STATUS,
-    SINCE,
-    STAGE_RUNS,
-    lineage_rows,
-    stage_run_rows,
-    status_rows,
-)
+from warehouse.catalog_rows import CURRENT_SINCE, SUPERSEDED, CatalogRows, gather
+from warehouse.catalog_tables import DERIVED, SINCE
 from warehouse.limits import LIMITS, fingerprint, read_limits
-from warehouse.lineage import Ledger, Record
-from warehouse.reviews import reference_rows, reviews_fingerprint, store_reviews
+from warehouse.lineage import Ledger
+from warehouse.reviews import reviews_fingerprint, store_reviews
 from wheelset_assets.declare import ARROW_TYPES, Table
 from wheelset_assets.quality import ConfigError
 from wheelset_assets.tables import ALL_TABLES, MEASUREMENTS, TABLES
@@ -112,7 +101,7 @@ def as_of(root: Path, moment: datetime) -> duckdb.DuckDBPyConnection:
     import duckdb
 
     connect(root).close()
-    records = _all_records(Ledger(root))
+    rows = gather(root.resolve(), Ledger(root))
     until = collected_until(root)
     if until is not None and moment < until:
         raise ConfigError(
@@ -122,7 +111,7 @@ def as_of(root: Path, moment: datetime) -> duckdb.DuckDBPyConnection:
     connection = duckdb.connect(":memory:")
     if place.is_remote(root):
         _read_remote(connection, root)
-    _fill(connection, root.resolve(), records, _facts(root), moment)
+    _fill(connection, root.resolve(), rows, _facts(root), moment)
     return connection
 
 
@@ -172,47 +161,41 @@ def build(root: Path, ledger: Ledger, reviews: list[Path] | None = None) -> Path
     root = root.resolve()
     if reviews is not None:
         store_reviews(root, reviews)
-    all_records = _all_records(ledger)
-    store.write_bytes(
-        root / "_catalog" / "scan_status.parquet", _parquet(SCAN_STATUS, [status_rows(root, all_records)])
-    )
-    store.write_bytes(
-        root / "_catalog" / "reference_values.parquet", _parquet(REFERENCE_VALUES, [reference_rows(root, all_records)])
-    )
-    store.write_bytes(root / "_catalog" / "lineage.parquet", _parquet(LINEAGE, map(lineage_rows, _by_day(all_records))))
-    store.write_bytes(
-        root / "_catalog" / "stage_runs.parquet", _parquet(STAGE_RUNS, map(stage_run_rows, _by_day(all_records)))
-    )
+    rows = gather(root, ledger)
+    for name, data in rows.derived.items():
+        store.write_bytes(root / "_catalog" / f"{name}.parquet", data)
     store.write_bytes(root / "_catalog" / "limits.parquet", _limits_parquet(root))
     with place.landing(root / NAME) as temporary, duckdb.connect(str(temporary)) as connection:
         if place.is_remote(root):
             _read_remote(connection, root)
         facts = _facts(root) | ({} if reviews is None else _sources(ledger, reviews))
-        _fill(connection, root, all_records, facts)
+        _fill(connection, root, rows, facts)
     return root / NAME
-
-
-def _all_records(ledger: Ledger) -> list[tuple[str, Record]]:
-    return [(day, record) for day in ledger.all_days() for record in ledger.day(day).records()]
 
 
 def _fill(
     connection: duckdb.DuckDBPyConnection,
     root: Path,
-    all_records: list[tuple[str, Record]],
+    rows: CatalogRows,
     facts: dict[str, str],
     moment: datetime | None = None,
 ) -> None:
-    """All facts, views and comments, in one commit instead of hundreds; with the measurements of a moment, if given."""
+    """All facts, views and comments; with the measurements of a moment, if given.
+
+    A commit for each table, not for each of its comments: until it, DuckDB keeps a copy of the view, with its list of
+    files, for each of them.
+    """
     connection.execute("BEGIN")
     connection.execute("CREATE TABLE catalog_facts (name VARCHAR, value VARCHAR)")
     connection.executemany("INSERT INTO catalog_facts VALUES (?, ?)", list(facts.items()))
     for table in ALL_TABLES:
-        _create_view(connection, table, _current_files(root, table, all_records))
+        _create_view(connection, table, [str(root / path) for path in rows.files.get(table.name, ())])
+        connection.execute("COMMIT")
+        connection.execute("BEGIN")
     for table in DERIVED:
         _create_view(connection, table, [str(root / "_catalog" / f"{table.name}.parquet")])
-    _create_history(connection, root, all_records)
-    _create_as_of(connection, all_records)
+    _create_history(connection, root, rows.superseded)
+    _create_as_of(connection, rows.current_since)
     if moment is not None:
         connection.execute("CREATE TABLE measurements_then AS FROM measurements_as_of($1)", [moment])
         connection.execute("DROP VIEW measurements")
@@ -256,51 +239,24 @@ def _limit_views() -> list[str]:
     return statements
 
 
-def _parquet(table: Table, parts: Iterable[list[dict[str, Any]]]) -> bytes:
-    """Rows as a Parquet file, part by part: those of all days at once, as Python has them, would take a hundred times the file."""
-    import pyarrow.parquet as pq
-
-    sink = pa.BufferOutputStream()
-    with pq.ParquetWriter(sink, table.schema, compression="zstd") as writer:
-        for rows in parts:
-            if rows:
-                writer.write_table(table.from_rows(rows))
-    return sink.getvalue().to_pybytes()
-
-
-def _by_day(records: list[tuple[str, Record]]) -> Iterator[list[tuple[str, Record]]]:
-    """The records of one day after the other, as they lie."""
-    for _, of_day in groupby(records, key=itemgetter(0)):
-        yield list(of_day)
-
-
 def _quoted(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
-
-
-def _current_files(root: Path, table: Table, records: list[tuple[str, Record]]) -> list[str]:
-    found = set()
-    for _, record in records:
-        if record.superseded_at is None and record.ok and not (table.layout == "scan" and "@" in record.unit):
-            found |= {str(root / o.path) for o in record.outputs if o.table == table.name and o.path}
-    return sorted(found)
 
 
 def _create_view(connection: duckdb.DuckDBPyConnection, table: Table, files: list[str]) -> None:
     """View of a table over its files, typed even when there are none, with comments."""
     columns = [(c.name, _SQL_TYPES[c.type]) for c in table.columns]
     if files:
-        listed = ", ".join(_quoted(f) for f in files)
         hive = table.layout == "scan"
         extra = "scan_id, CAST(day AS VARCHAR) AS day, " if hive else ""
         picked = ", ".join(
             f'CAST("{name}" AS {kind}) AS "{name}"' for name, kind in columns if not (hive and name == "scan_id")
         )
-        source = f"read_parquet([{listed}], hive_partitioning = {str(hive).lower()}" + (
-            ", hive_types = {'day': VARCHAR, 'scan_id': VARCHAR})" if hive else ")"
-        )
+        options = f"hive_partitioning = {str(hive).lower()}"
+        if hive:
+            options += ", hive_types = {'day': VARCHAR, 'scan_id': VARCHAR}"
         where = " WHERE scan_id NOT LIKE '%@%'" if table.layout == "day" else ""
-        body = f"SELECT {extra}{picked} FROM {source}{where}"
+        body = f"SELECT {extra}{picked} FROM read_parquet({_listed(files)}, {options}){where}"
     else:
         extra = "CAST(NULL AS VARCHAR) AS scan_id, CAST(NULL AS VARCHAR) AS day, " if table.layout == "scan" else ""
         body = f"SELECT {extra}{', '.join(f'CAST(NULL AS {kind}) AS {name}' for name, kind in columns)} WHERE false"
@@ -313,39 +269,28 @@ def _create_view(connection: duckdb.DuckDBPyConnection, table: Table, files: lis
         connection.execute(f"COMMENT ON COLUMN {table.name}.day IS 'Acquisition day'")
 
 
-def _create_history(connection: duckdb.DuckDBPyConnection, root: Path, records: list[tuple[str, Record]]) -> None:
+def _listed(files: list[str]) -> str:
+    """The files as an argument of read_parquet: one text, for a list of thousands would be as many expressions."""
+    if any(chr(10) in file for file in files):
+        return f"[{', '.join(map(_quoted, files))}]"
+    return f"string_split({_quoted(chr(10).join(files))}, chr(10))"
+
+
+def _create_history(connection: duckdb.DuckDBPyConnection, root: Path, superseded: pa.Table) -> None:
     """Superseded measurements: rows of older day files whose scan has a newer version."""
-    rows = []
-    present = store.files_of(root, MEASUREMENTS)
-    for _, record in records:
-        if record.superseded_at is not None and "@" not in record.unit:
-            for o in record.outputs:
-                if o.table == MEASUREMENTS.name and o.path in present:
-                    rows.append(
-                        (
-                            str(root / o.path),
-                            record.unit,
-                            o.version,
-                            record.since,
-                            record.superseded_at,
-                            record.superseded_by,
-                            record.code_version,
-                            record.config_fingerprint,
-                        )
-                    )
-    connection.execute(
-        "CREATE TABLE superseded (path VARCHAR, scan_id VARCHAR, output_version VARCHAR, since TIMESTAMPTZ, superseded_at TIMESTAMPTZ, "
-        "superseded_by VARCHAR, code_version VARCHAR, config_fingerprint VARCHAR)"
-    )
-    if rows:
-        connection.executemany("INSERT INTO superseded VALUES (?, ?, ?, ?, ?, ?, ?, ?)", rows)
-        listed = ", ".join(_quoted(p) for p in sorted({r[0] for r in rows}))
+    present = sorted(store.files_of(root, MEASUREMENTS)) if superseded.num_rows else []
+    rows = superseded.filter(pc.is_in(superseded["path"], pa.array(present, pa.string())))
+    paths = pa.array([str(root / path) for path in rows["path"].to_pylist()], pa.string())
+    rows = rows.set_column(0, "path", paths)
+    _create_table(connection, "superseded", SUPERSEDED, rows)
+    if rows.num_rows:
+        old = sorted(set(paths.to_pylist()))
         typed = ", ".join(f'CAST(NULL AS {_SQL_TYPES[c.type]}) AS "{c.name}"' for c in MEASUREMENTS.columns)
         # Superseded files may be older than a column: it is null there.
         body = f"""SELECT * FROM (SELECT {typed} WHERE false) UNION ALL BY NAME
             SELECT m.* EXCLUDE (filename), s.output_version, s.since, s.superseded_at, s.superseded_by, s.code_version,
                 s.config_fingerprint
-            FROM read_parquet([{listed}], filename = true, union_by_name = true) m
+            FROM read_parquet({_listed(old)}, filename = true, union_by_name = true) m
             JOIN superseded s ON m.filename = s.path AND m.scan_id = s.scan_id"""
     else:
         body = """SELECT *, CAST(NULL AS VARCHAR) AS output_version, CAST(NULL AS TIMESTAMPTZ) AS since,
@@ -369,19 +314,19 @@ def _create_history(connection: duckdb.DuckDBPyConnection, root: Path, records: 
         connection.execute(f"COMMENT ON COLUMN measurements_history.{name} IS {_quoted(text)}")
 
 
-def _create_as_of(connection: duckdb.DuckDBPyConnection, records: list[tuple[str, Record]]) -> None:
+def _create_table(connection: duckdb.DuckDBPyConnection, name: str, schema: pa.Schema, rows: pa.Table) -> None:
+    """A table of the catalog's own, with the rows of an Arrow table."""
+    kinds = {pa.string(): "VARCHAR", SINCE: "TIMESTAMPTZ"}
+    connection.execute(f"CREATE TABLE {name} ({', '.join(f'{f.name} {kinds[f.type]}' for f in schema)})")
+    if rows.num_rows:
+        connection.register("given", rows)
+        connection.execute(f"INSERT INTO {name} SELECT {', '.join(schema.names)} FROM given")
+        connection.unregister("given")
+
+
+def _create_as_of(connection: duckdb.DuckDBPyConnection, current_since: pa.Table) -> None:
     """`measurements_as_of(moment)`: the rows that were current then, as far back as superseded versions are kept."""
-    connection.execute("CREATE TABLE current_since (scan_id VARCHAR, since TIMESTAMPTZ)")
-    rows = [
-        (r.unit, r.since)
-        for _, r in records
-        if r.stage == MEASUREMENTS.name and r.ok and r.superseded_at is None and "@" not in r.unit
-    ]
-    if rows:
-        table = pa.table({"scan_id": [u for u, _ in rows], "since": pa.array([s for _, s in rows], SINCE)})
-        connection.register("measured", table)
-        connection.execute("INSERT INTO current_since SELECT scan_id, since FROM measured")
-        connection.unregister("measured")
+    _create_table(connection, "current_since", CURRENT_SINCE, current_since)
     columns = ", ".join(f'm."{c.name}"' for c in MEASUREMENTS.columns)
     connection.execute(f"""
         CREATE MACRO measurements_as_of(moment) AS TABLE

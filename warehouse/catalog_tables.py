@@ -1,18 +1,11 @@
-"""Tables of the catalog that are derived from the ledger and the reviews: their declarations, and their rows."""
+"""Tables of the catalog that are derived from the ledger and the reviews: their declarations."""
 
 from __future__ import annotations
-
-from collections import defaultdict
-from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
 from warehouse.limits import LIMITS
-from warehouse.lineage import BUNDLE, CALIBRATION_DAY, FLEET_DAY, Record
-from wheelset_assets.bundle import ScanHeader
 from wheelset_assets.declare import Column, Table
-from wheelset_assets.stages import SCAN_STAGES
 
 SCAN_STATUS = Table(
     "scan_status",
@@ -112,97 +105,3 @@ STAGE_RUNS = Table(
 )
 DERIVED = (SCAN_STATUS, REFERENCE_VALUES, LINEAGE, STAGE_RUNS, LIMITS)
 SINCE = pa.timestamp("us", tz="UTC")
-
-
-def status_rows(root: Path, records: list[tuple[str, Record]]) -> list[dict[str, Any]]:
-    by_unit: dict[str, dict[str, Record]] = defaultdict(dict)
-    for day, record in records:
-        if record.superseded_at is None and day not in (CALIBRATION_DAY, FLEET_DAY):
-            by_unit[record.unit][record.stage] = record
-    rows = []
-    for unit, stages in sorted(by_unit.items()):
-        bundle = stages.get(BUNDLE)
-        if bundle is None:
-            continue
-        header = ScanHeader.model_validate_json(bundle.header) if bundle.header else None
-        ordered = [bundle, *(stages[s.name] for s in SCAN_STAGES if s.name in stages)]
-        bad = next((r for r in ordered if not r.ok), None)
-        complete = all(s.name in stages for s in SCAN_STAGES)
-        reason, _, details = (bad.reason or "").partition("\n") if bad else ("", "", "")
-        rows.append(
-            {
-                "scan_id": unit,
-                "rig_id": header.rig_id if header else None,
-                "wheelset_id": header.wheelset.wheelset_id if header else None,
-                "purpose": header.purpose if header else None,
-                "captured_at": header.captured_at if header else None,
-                "acquired_on": header.acquired_on if header else None,
-                "state": bad.state if bad else "measured" if complete else "pending",
-                "stage": bad.stage if bad else None,
-                "reason": reason if bad else None,
-                "details": details or None,
-                "recording": next((str(root / r.recording) for r in ordered if r.recording), None),
-                "n_points": sum(r.points for r in ordered) or None,
-            }
-        )
-    return rows
-
-
-def stage_run_rows(records: list[tuple[str, Record]]) -> list[dict[str, Any]]:
-    return [
-        {
-            "run_id": r.run_id,
-            "day": day,
-            "scan_id": r.scan_id,
-            "unit": r.unit,
-            "stage": r.stage,
-            "state": r.state,
-            "reason": r.reason,
-            "produced_at": r.produced_at,
-            "seconds": r.seconds,
-            "compute_seconds": r.compute_seconds,
-            "n_points": r.points,
-            "n_rows": sum(o.rows for o in r.outputs),
-            "n_bytes": sum(o.bytes for o in r.outputs),
-            "superseded_at": r.superseded_at,
-        }
-        for day, r in records
-        if r.stage != BUNDLE
-    ]
-
-
-def lineage_rows(records: list[tuple[str, Record]]) -> list[dict[str, Any]]:
-    rows = []
-    for _, r in records:
-        if not r.ok:
-            continue
-        outputs: list[tuple[str, str, str | None]] = [(o.table, o.version, o.path) for o in r.outputs]
-        outputs = outputs or [(r.stage, r.version, None)]
-        common = {
-            "scan_id": r.scan_id,
-            "unit": r.unit,
-            "stage": r.stage,
-            "code_version": r.code_version,
-            "config_fingerprint": r.config_fingerprint,
-            "fingerprint": r.fingerprint,
-            "git_commit": r.git_commit,
-            "packages": r.packages,
-            "run_id": r.run_id,
-            "produced_at": r.produced_at,
-            "seconds": r.seconds,
-            "superseded_at": r.superseded_at,
-            "superseded_by": r.superseded_by,
-        }
-        for table, version, path in outputs:
-            for name, value in r.inputs or ((None, None),):
-                rows.append(
-                    common
-                    | {
-                        "output_name": table,
-                        "output_version": version,
-                        "path": path,
-                        "input_name": name,
-                        "input_version": value,
-                    }
-                )
-    return rows

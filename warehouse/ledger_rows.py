@@ -7,7 +7,8 @@ little more than what is peculiar to its records.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
+from dataclasses import fields
+from itertools import pairwise, repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,34 +83,30 @@ def _lists(records: Sequence[Record], name: str) -> pa.Array:
     return pa.ListArray.from_arrays(pa.array(offsets), pa.StructArray.from_arrays(parts, fields=list(kind)))
 
 
-def from_table(table: pa.Table, record: Callable[..., Record], output: Callable[..., Output]) -> Iterable[Record]:
+def from_table(table: pa.Table, record: type[Record], output: Callable[..., Output]) -> Iterable[Record]:
     """The records of a table; columns that an older program did not write take their defaults."""
-    names = [name for name in RECORD.names if name in table.column_names]
-    values = [
-        _groups(table[name], output if name == "outputs" else _pair)
-        if name in NESTED
-        else _shared(table[name], share=name not in OWN)
-        for name in names
-    ]
-    for row in zip(*values, strict=True):
-        yield record(**dict(zip(names, row, strict=True)))
+    values: list[Iterable[Any]] = []
+    for one in fields(record):
+        if one.name not in table.column_names:
+            values.append(repeat(one.default, table.num_rows))
+        elif one.name in NESTED:
+            values.append(_groups(table[one.name], output if one.name == "outputs" else None))
+        else:
+            values.append(_shared(table[one.name], share=one.name not in OWN))
+    yield from map(record, *values)
 
 
-def _pair(name: str, version: str) -> tuple[str, str]:
-    return name, version
-
-
-def _groups(column: pa.ChunkedArray, make: Callable[..., Any]) -> list[tuple]:
-    """Lists of structs as tuples of what `make` makes of their fields."""
+def _groups(column: pa.ChunkedArray, make: Callable[..., Any] | None) -> list[tuple]:
+    """Lists of structs as tuples of what `make` makes of their fields, or of tuples of these."""
     array = column.combine_chunks()
     if isinstance(array, pa.ChunkedArray):
         return []
     flat = array.flatten()
-    fields = [
+    parts = [
         _shared(pa.chunked_array([flat.field(i)]), share=flat.type.field(i).name not in OWN)
         for i in range(flat.type.num_fields)
     ]
-    items = [make(*row) for row in zip(*fields, strict=True)]
+    items = list(zip(*parts, strict=True)) if make is None else list(map(make, *parts))
     ends = np.cumsum([0, *array.value_lengths().to_pylist()]).tolist()
     return [tuple(items[a:b]) for a, b in pairwise(ends)]
 

@@ -161,6 +161,14 @@ class Ledger:
         """Every day file: calibrations first, acquisition days, undated bundles, fleet."""
         return [CALIBRATION_DAY, *self.days(), UNDATED, FLEET_DAY]
 
+    def tables(self) -> Iterator[tuple[str, pa.Table]]:
+        """Every day with its records as rows, one day after the other: nothing of it stays in memory."""
+        for day in self.all_days():
+            loaded = self._days.get(day)
+            table = _to_table(loaded) if loaded is not None else self._read(self.folder / f"day={day}.parquet")
+            if table is not None and table.num_rows:
+                yield day, table
+
     def records_of(self, stage: str) -> Iterator[tuple[str, Record]]:
         """Day and current record of a stage over all scans. Of days that are not in memory, nothing else is read."""
         for day in [*self.days(), UNDATED]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from warehouse import store
-from warehouse.lineage import BUNDLE, CALIBRATION_DAY, FLEET_DAY, Record
 from wheelset_assets.bundle import ScanHeader
 from wheelset_assets.quality import ConfigError
 
@@ -112,31 +111,26 @@ def _review_row(path: Path, line: int, row: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def reference_rows(root: Path, records: list[tuple[str, Record]]) -> list[dict[str, Any]]:
+def stored_reviews(root: Path) -> list[dict[str, Any]]:
+    """The reviews that the last run kept, as rows of `reference_values`."""
     path = root / "_catalog" / "reviews.json"
     rows = json.loads(path.read_text(encoding="utf-8"))["reviews"] if path.exists() else []
-    rows = [{**row, "measured_at": datetime.fromisoformat(row["measured_at"])} for row in rows]
-    for day, record in records:
-        if (
-            record.stage == BUNDLE
-            and record.ok
-            and record.header
-            and record.superseded_at is None
-            and day not in (CALIBRATION_DAY, FLEET_DAY)
-        ):
-            header = ScanHeader.model_validate_json(record.header)
-            for c in header.certificate if header.purpose == "reference" else []:
-                rows.append(
-                    {
-                        "wheelset_id": header.wheelset.wheelset_id,
-                        "quantity": c.quantity,
-                        "side": c.side,
-                        "value_mm": c.value_mm,
-                        "expanded_uncertainty_mm": c.expanded_uncertainty_mm,
-                        "measured_at": header.captured_at,
-                        "instrument": None,
-                        "source": "certificate",
-                        "origin": header.scan_id,
-                    }
-                )
-    return rows
+    return [{**row, "measured_at": datetime.fromisoformat(row["measured_at"])} for row in rows]
+
+
+def certificate_rows(header: ScanHeader) -> list[dict[str, Any]]:
+    """The certificate of a reference scan's master wheelset, as rows of `reference_values`."""
+    return [
+        {
+            "wheelset_id": header.wheelset.wheelset_id,
+            "quantity": c.quantity,
+            "side": c.side,
+            "value_mm": c.value_mm,
+            "expanded_uncertainty_mm": c.expanded_uncertainty_mm,
+            "measured_at": header.captured_at,
+            "instrument": None,
+            "source": "certificate",
+            "origin": header.scan_id,
+        }
+        for c in header.certificate
+    ]
