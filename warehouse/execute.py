@@ -51,6 +51,8 @@ class Task:
     calibration: CalibrationHeader | None = None
     rig: Rig | None = None
     reference: Reference | None = None
+    flushed: bool = True
+    """Whether what it writes must be on disk when it ends; else whoever puts it on record flushes it."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +228,7 @@ def _publish(stage: Stage, task: Task, produced: Mapping[str, pa.Table]) -> tupl
     for table in stage.outputs:
         data = produced[table.name]
         if table.layout in ("scan", "calibration", "fleet"):
-            path, version, size = store.write_table(task.root, table, data, task.day, task.unit)
+            path, version, size = store.write_table(task.root, table, data, task.day, task.unit, flushed=task.flushed)
             outputs.append(Output(table.name, path, version, data.num_rows, size))
         else:
             data = _named(data, task.unit)

@@ -66,8 +66,11 @@ class LightTables:
                     del self._rows[name][unit]
                 self._changed.add(name)
 
-    def flush(self) -> None:
-        """Write the changed tables and let the ledger's current records name the new files."""
+    def flush(self, flushed: bool = True) -> None:
+        """Write the changed tables and let the ledger's current records name the new files.
+
+        flushed: see `store.write_table`.
+        """
         if not self._changed:
             return
         ledger = self.ledger.day(self.day)
@@ -76,7 +79,8 @@ class LightTables:
         for name in sorted(self._changed & wanted):
             rows = self._of(name)
             data = pa.concat_tables([rows[unit] for unit in sorted(rows)] or [LIGHT[name].empty()])
-            paths[name], _, _ = store.write_table(self.root, LIGHT[name], data.combine_chunks(), self.day, None)
+            data = data.combine_chunks()
+            paths[name], _, _ = store.write_table(self.root, LIGHT[name], data, self.day, None, flushed=flushed)
         for key, record in ledger.current.items():
             if any(output.table in paths for output in record.outputs):
                 outputs = tuple(replace(o, path=paths.get(o.table, o.path)) for o in record.outputs)

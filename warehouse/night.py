@@ -74,7 +74,8 @@ class Night:
         self.bounds = bounds
         self.ledger = Ledger(root)
         self.state = State(Inbox(inbox), self.ledger, config, retry_before=self.run_id if retry_failed else None)
-        self.record = Recorder(root, self.ledger, config, self.run_id)
+        flushes = cluster is None and store.can_flush_all(root)  # other machines must flush their own
+        self.record = Recorder(root, self.ledger, config, self.run_id, flushes)
         self.interrupted = False
         self.references_only = False
         """Whether the day that was given last is to be gone through for its references alone."""
@@ -123,8 +124,8 @@ class Night:
             for day in self.ledger.dirty_days():
                 self.record.light(day).prune()
                 self.record.save(day)
-            self.ledger.save(UNDATED)
-            self.ledger.save(CALIBRATION_DAY)
+            self.record.save(UNDATED)
+            self.record.save(CALIBRATION_DAY)
         self.state.arrange()
 
     def _take_up(self, kind: str, entry: Entry, result: Any) -> None:
@@ -183,10 +184,11 @@ class Night:
                     bundle_files=files,
                     calibration=header,
                     rig=rig,
+                    flushed=not self.record.flushes,
                 )
             )
         self._run(tasks, CALIBRATION, CALIBRATION_DAY, wanted, summary)
-        self.ledger.save(CALIBRATION_DAY)
+        self.record.save(CALIBRATION_DAY)
         summary.data_version = self._data_version(CALIBRATION_DAY, CALIBRATION)
         return summary
 
@@ -347,6 +349,7 @@ class Night:
             None,
             self.state.rig(unit),
             reference,
+            not self.record.flushes,
         )
 
     def _run(self, tasks: list[Task], stage: Stage, day: str, wanted: dict, summary: StageSummary) -> None:

@@ -27,8 +27,10 @@ CHECKPOINT_SECONDS = 120.0
 class Recorder:
     """Ledger and light tables of the days that a run touches, and what it counts."""
 
-    def __init__(self, root: Path, ledger: Ledger, config: Config, run_id: str) -> None:
+    def __init__(self, root: Path, ledger: Ledger, config: Config, run_id: str, flushes: bool = False) -> None:
         self.root, self.ledger, self.config, self.run_id = root, ledger, config, run_id
+        self.flushes = flushes
+        """Whether the workers leave it to this process to flush what they wrote, all at once."""
         self.touched: set[str] = set()
         self.warnings: list[str] = []
         self.points = 0
@@ -45,8 +47,11 @@ class Recorder:
         """Make what a day has visible: its tables and the names of its folders first, then the ledger that names them."""
         try:
             if day not in (CALIBRATION_DAY, FLEET_DAY):
-                self.light(day).flush()
-                if self.ledger.day(day).dirty:
+                self.light(day).flush(flushed=not self.flushes)
+            if self.ledger.day(day).dirty:
+                if self.flushes:
+                    store.flush_all(self.root)
+                else:
                     store.flush_names(self.root, day)
             self.ledger.save(day)
         except OSError as error:

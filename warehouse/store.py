@@ -12,8 +12,11 @@ are the same, and an object appears whole or not at all.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pyarrow as pa
@@ -62,9 +65,12 @@ def folder(root: Path, table: Table, day: str | None, key: str | None) -> Path:
     return base
 
 
-def write_table(root: Path, table: Table, data: pa.Table, day: str | None, key: str | None) -> tuple[str, str, int]:
+def write_table(
+    root: Path, table: Table, data: pa.Table, day: str | None, key: str | None, *, flushed: bool = True
+) -> tuple[str, str, int]:
     """Write data atomically under the hash of its bytes; returns (path relative to root, version, size in bytes).
 
+    flushed: on disk when this returns; else `flush_all` must follow before anything names the file.
     Single floats are split by bytes before compression: their exponents and high mantissas repeat, their noise does not.
     """
     within = folder(root, table, day, key)
@@ -76,7 +82,7 @@ def write_table(root: Path, table: Table, data: pa.Table, day: str | None, key: 
         target = within / f"{version}.parquet"
         place.put(target, content.to_pybytes())
         return target.relative_to(root).as_posix(), version, content.size
-    _make_folder(within, flushed=table.layout != "scan")
+    _make_folder(within, flushed=flushed and table.layout != "scan", above=flushed)
     temporary = within / f".tmp-{os.getpid()}-{table.name}.parquet"
     if data.nbytes <= SMALL_BYTES:
         sink = pa.BufferOutputStream()
@@ -90,8 +96,35 @@ def write_table(root: Path, table: Table, data: pa.Table, day: str | None, key: 
     size = temporary.stat().st_size
     version = digest[:VERSION_DIGITS]
     target = within / f"{version}.parquet"
-    publish(temporary, target)
+    publish(temporary, target, flushed)
     return target.relative_to(root).as_posix(), version, size
+
+
+@cache
+def _syncfs() -> Callable[[int], int] | None:
+    """The system's call that flushes a file system, where it has one (Linux)."""
+    try:
+        return ctypes.CDLL(None, use_errno=True).syncfs
+    except (AttributeError, OSError, TypeError):
+        return None
+
+
+def can_flush_all(root: Path) -> bool:
+    """Whether this machine can flush what its processes wrote to a warehouse in one call."""
+    return not place.is_remote(root) and _syncfs() is not None
+
+
+def flush_all(root: Path) -> None:
+    """Flush everything that this machine wrote to the warehouse's file system: one call for thousands of files."""
+    call = _syncfs()
+    assert call is not None, "ask can_flush_all first"
+    handle = os.open(root, os.O_RDONLY)
+    try:
+        if call(handle) != 0:
+            code = ctypes.get_errno()
+            raise OSError(code, os.strerror(code), str(root))
+    finally:
+        os.close(handle)
 
 
 def flush_names(root: Path, day: str) -> None:
@@ -120,14 +153,16 @@ def _encoding(table: Table) -> dict:
     }
 
 
-def publish(temporary: Path, target: Path) -> None:
+def publish(temporary: Path, target: Path, flushed: bool = True) -> None:
     """Make a finished temporary file visible under its name: flushed to disk, renamed, and the name flushed too, so that
-    neither is lost with the power.
+    neither is lost with the power. Not `flushed`, it is only renamed.
     """
-    with temporary.open("rb+") as file:
-        os.fsync(file.fileno())
+    if flushed:
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
     os.replace(temporary, target)
-    sync_folder(target.parent)
+    if flushed:
+        sync_folder(target.parent)
 
 
 def sync_folder(folder: Path) -> None:
@@ -141,11 +176,11 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def _make_folder(folder: Path, flushed: bool = True) -> None:
-    """A folder with all above it, whose new names are flushed to disk; its own name too if `flushed`."""
+def _make_folder(folder: Path, flushed: bool = True, above: bool = True) -> None:
+    """A folder with all above it; its own name is flushed to disk if `flushed`, the new names above it if `above`."""
     if folder.is_dir():
         return
-    _make_folder(folder.parent)
+    _make_folder(folder.parent, above, above)
     folder.mkdir(exist_ok=True)
     if flushed:
         sync_folder(folder.parent)

@@ -10,7 +10,7 @@ import duckdb
 import numpy as np
 import pyarrow as pa
 
-from warehouse.catalog import LINEAGE
+from warehouse.catalog_tables import LINEAGE
 from warehouse.limits import read_limits
 from warehouse.report import functions, query
 from wheelset_assets.tables import ALL_TABLES, CALIBRATION_CORNERS, CALIBRATION_POSES, CALIBRATIONS, MEASUREMENTS

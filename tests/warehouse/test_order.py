@@ -74,14 +74,34 @@ def test_days_that_are_done_leave_memory(tmp_path: Path, stages: FakeStages) -> 
     assert most <= 2, "the day itself, and that of a reference before it"
 
 
-def test_names_are_on_disk_before_the_ledger_names_them(
-    tmp_path: Path, stages: FakeStages, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("at_once", [True, False])
+def test_data_are_on_disk_before_the_ledger_names_them(
+    tmp_path: Path, stages: FakeStages, monkeypatch: pytest.MonkeyPatch, at_once: bool
 ) -> None:
+    """By one call for all files where the system has it, else file by file and the folders' names by the day."""
     done: list[str] = []
     write = Ledger._write
-    monkeypatch.setattr(store, "flush_names", lambda root, day: done.append(f"day={day}"))
+    monkeypatch.setattr(store, "can_flush_all", lambda root: at_once)
+    monkeypatch.setattr(store, "flush_all", lambda root: done.append("flushed"))
+    monkeypatch.setattr(store, "flush_names", lambda root, day: done.append("flushed"))
     monkeypatch.setattr(Ledger, "_write", lambda s, path, table: (done.append(path.stem), write(s, path, table))[1])
     run_night(inbox_of(tmp_path / "inbox", days=DAYS, scans=1), tmp_path / "w")
-    days = [name for name in done if name.startswith("day=2025")]
-    assert days[::2] == days[1::2]
-    assert len(days) >= 2 * len(DAYS)
+    assert {*done[::2]} == {"flushed"}
+    assert "flushed" not in done[1::2]
+    assert len([name for name in done if name.startswith("day=2025")]) >= 2 * len(DAYS)
+
+
+def test_what_cannot_be_flushed_is_not_put_on_record(
+    tmp_path: Path, stages: FakeStages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(root: Path) -> None:
+        raise OSError(5, "Input/output error", str(root))
+
+    inbox = inbox_of(tmp_path / "inbox", days=DAYS, scans=1)
+    monkeypatch.setattr(store, "can_flush_all", lambda root: True)
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "flush_all", lost)
+        with pytest.raises(OSError, match="Input/output"):
+            run_night(inbox, tmp_path / "w")
+    assert not list((tmp_path / "w" / "_ledger").glob("day=2025*"))
+    assert run_night(inbox, tmp_path / "w").measured == 2 * len(DAYS)

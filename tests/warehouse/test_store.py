@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pyarrow as pa
@@ -170,3 +171,20 @@ def test_some_columns_come_in_the_order_asked_for(tmp_path: Path) -> None:
     path, *_ = store.write_table(tmp_path, POINTS, points(), "2025-04-05", "s-1")
     names = list(reversed(points().column_names))
     assert store.read_table(tmp_path, path, names).equals(points().select(names))
+
+
+def test_files_may_be_flushed_all_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+    monkeypatch.setattr("warehouse.store.os.fsync", calls.append)
+    path, version, _ = store.write_table(tmp_path, POINTS, points(), "2025-04-05", "s-1", flushed=False)
+    assert calls == []
+    assert store.write_table(tmp_path, POINTS, points(), "2025-04-05", "s-1")[:2] == (path, version)
+    assert calls
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="syncfs is Linux's")
+def test_a_file_system_is_flushed_by_one_call(tmp_path: Path) -> None:
+    assert store.can_flush_all(tmp_path)
+    store.flush_all(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        store.flush_all(tmp_path / "gone")

@@ -21,6 +21,7 @@ from wheelset_assets.metrology.reading import (
     face_series,
     jackknife,
     mean_at,
+    over_the_turn,
     refuse,
     uneven,
     unsupported,
@@ -100,7 +101,7 @@ def _shoulder(
         found.readings.extend(refuse(("shoulder_squareness",), side, "shoulder: too few frames see it"))
     else:
         wobble = peak_to_peak(turn, 1, 1)
-        found.readings.append(Reading("shoulder_squareness", side, wobble.value, wobble.u, **about))
+        found.readings.append(over_the_turn("shoulder_squareness", side, wobble, about))
         found.spectra["shoulder_lateral"] = turn
     found.turns.append(Turn("shoulder_lateral", level + series.value_mm, fit.used, level + fit.fitted))
     return level + mean
@@ -135,8 +136,8 @@ def _cylinder(
         why = f"the frames tell harmonics to order {harmonics.order} only, 2 are needed"
         found.readings.extend(refuse(("journal_ovality", "journal_roundness"), side, why))
     else:
-        found.readings.append(Reading("journal_ovality", side, ovality.value, ovality.u, **about))
-        found.readings.append(Reading("journal_roundness", side, roundness.value, roundness.u, **about))
+        found.readings.append(over_the_turn("journal_ovality", side, ovality, about))
+        found.readings.append(over_the_turn("journal_roundness", side, roundness, about))
     found.turns.append(Turn("journal_radius", level + series.value_mm, fit.used, level + fit.fitted))
     found.spectra["journal_radius"] = harmonics
     if shoulder_mm is None:

@@ -17,7 +17,7 @@ from wheelset_assets.metrology.datum import Line, find_face, straight_rows
 from wheelset_assets.metrology.frame_series import FULL_COVERAGE, FrameSeries, frame_series
 from wheelset_assets.metrology.profile import ProfileDefinition
 from wheelset_assets.metrology.revolution import HarmonicFit, MeridianGrid, fit_harmonics, mean_meridian
-from wheelset_assets.metrology.roundness import Flat, Spectrum
+from wheelset_assets.metrology.roundness import Flat, Range, Spectrum
 from wheelset_assets.quality import Flag
 
 Array = NDArray[Any]
@@ -256,6 +256,11 @@ def described(fit: HarmonicFit, series: FrameSeries, settings: TurnSettings, mor
         "excluded_ratio": float(excluded),
         "flags": flags,
     }
+
+
+def over_the_turn(quantity: str, side: str, found: Range, about: dict) -> Reading:
+    """Reading of a largest less smallest value."""
+    return Reading(quantity, side, found.value, found.u, **(about | {"flags": about["flags"] | found.flags}))
 
 
 def uneven(scatter_mm: float, freedom: int, series: FrameSeries, settings: TurnSettings) -> Flag:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology.revolution import coverage
+from wheelset_assets.quality import Flag
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -108,6 +109,11 @@ class Range:
 
     value: float
     u: float
+
+    @property
+    def flags(self) -> Flag:
+        """NOT_DETECTED where no order stands out of the noise: the zero stands for what may hide in it."""
+        return Flag.NONE if self.value > 0 else Flag.NOT_DETECTED
 
 
 _TURN_DEG = np.arange(0.0, 360.0, 0.5)

@@ -31,6 +31,7 @@ from wheelset_assets.metrology.reading import (
     face_series,
     jackknife,
     mean_at,
+    over_the_turn,
     refuse,
     uneven,
     unsupported,
@@ -194,7 +195,7 @@ class _Wheel:
         return [
             Reading("face_lateral", side, self.level + mean, u_mean, **about),
             Reading("face_radial", side, mean_at(m.radial, m.weight, self.face_rows), **about),
-            Reading("axial_runout", side, runout.value, runout.u, **about),
+            over_the_turn("axial_runout", side, runout, about),
             *self._outer_face(groups, faces, about),
         ]
 
@@ -263,8 +264,8 @@ class _Wheel:
             return found + refuse(("radial_runout", "out_of_roundness"), side, why)
         return [
             *found,
-            Reading("radial_runout", side, runout.value, runout.u, **about),
-            Reading("out_of_roundness", side, oval.value, oval.u, **about),
+            over_the_turn("radial_runout", side, runout, about),
+            over_the_turn("out_of_roundness", side, oval, about),
         ]
 
     def _flats(self, fit: HarmonicFit, about: dict) -> tuple[list[Flat], list[Reading]]:

@@ -216,7 +216,8 @@ class Comparison:
                 Flag.NONE,
             )
         flags = self.read["face_lateral", "left"].flags | self.read["face_lateral", "right"].flags
-        return self._from_range(peak_to_peak(both)), None, flags
+        found = peak_to_peak(both)
+        return self._from_range(found), None, flags | found.flags
 
     def _from_range(self, found: Range, more: list[Source] | None = None) -> Value:
         """A run-out as a value: noise, scale, temperature."""
@@ -259,7 +260,7 @@ class Comparison:
         found = peak_to_peak(own, 1, self.config.runout_order, shift=shift)
         flags = face.flags | self.read["journal_diameter", "left"].flags | self.read["journal_diameter", "right"].flags
         more = [Source("noise of the journals' centres", float(u), "mm", 2.0)]
-        return self._from_range(found, more), None, flags
+        return self._from_range(found, more), None, flags | found.flags
 
     def _face_to_shoulder(self, side: str) -> Result:
         certified = self.certificate.get(("face_to_shoulder", side))
