@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from warehouse import store
 from warehouse.execute import Outcome, Task, fingerprint, stage_config
@@ -48,7 +49,16 @@ def stale(ledger: Ledger, config: Config) -> tuple[str, tuple[tuple[str, str], .
 
 def run(root: Path, ledger: Ledger, config: Config, execute: Callable[[Task], Outcome]) -> Outcome:
     """The statistics over what is current."""
-    parts = [store.read_table(root, path, COLUMNS) for path in measurement_files(ledger)]
+    parts = [_measured(store.read_table(root, path, COLUMNS)) for path in measurement_files(ledger)]
     data = pa.concat_tables(parts) if parts else MEASUREMENTS.empty().select(COLUMNS)
     section = stage_config(config, REPEATABILITY)
     return execute(Task(root, REPEATABILITY.name, "fleet", FLEET_DAY, section, tables={"measurements": data}))
+
+
+def _measured(rows: pa.Table) -> pa.Table:
+    """Rows with a value, their names as dictionaries: a fleet has few of them, and millions of rows."""
+    rows = rows.filter(pc.is_valid(rows["value"]))
+    for i, name in enumerate(rows.column_names):
+        if pa.types.is_string(rows[name].type):
+            rows = rows.set_column(i, name, rows[name].dictionary_encode())
+    return rows

@@ -7,27 +7,35 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
-class Spread:
-    """Mean, sample standard deviation (n - 1; None for one value) and extremes of n values."""
+class Spreads:
+    """Of each of m groups of values: their number, mean, sample standard deviation (n - 1; NaN for one value), extremes."""
 
-    n: int
-    mean: float
-    standard_deviation: float | None
-    minimum: float
-    maximum: float
+    n: NDArray[np.int64]
+    mean: Array
+    standard_deviation: Array
+    minimum: Array
+    maximum: Array
 
     @property
-    def range(self) -> float:
-        """Largest minus smallest value."""
+    def range(self) -> Array:
+        """Largest minus smallest value (m,)."""
         return self.maximum - self.minimum
 
 
-def spread(values: NDArray[np.float64]) -> Spread:
-    """Spread of values (n,), n >= 1, taken about their first so that tight groups of large values lose no digits."""
-    first = float(values[0])
-    relative = np.asarray(values, float) - first
-    mean = float(relative.mean())
-    deviation = float(np.sqrt(((relative - mean) ** 2).sum() / (len(relative) - 1))) if len(relative) > 1 else None
-    return Spread(len(relative), first + mean, deviation, float(np.min(values)), float(np.max(values)))
+def spreads(values: Array, starts: NDArray[np.int64]) -> Spreads:
+    """Spreads of consecutive groups of values (n,), of which each begins at one of starts (m,), none of them empty.
+
+    Taken about each group's first value, so that tight groups of large values lose no digits.
+    """
+    n = np.diff(np.append(starts, len(values)))
+    first = values[starts]
+    relative = values - np.repeat(first, n)
+    mean = np.add.reduceat(relative, starts) / n
+    squares = np.add.reduceat((relative - np.repeat(mean, n)) ** 2, starts)
+    with np.errstate(invalid="ignore"):
+        deviation = np.sqrt(squares / np.where(n > 1, n - 1, np.nan))
+    return Spreads(n, first + mean, deviation, np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts))

@@ -99,7 +99,7 @@ MEASUREMENT = Stage(
     run=run_measurements,
 )
 REPEATABILITY = Stage(
-    version=1,
+    version=2,
     meaning="Repeatability of production measurements by wheelset, quantity, side and period",
     scope="fleet",
     inputs=("measurements",),
