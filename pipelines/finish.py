@@ -60,4 +60,5 @@ def _record(night: Night, scan_id: str) -> str | None:
             ledger.current[key] = replace(record, recording=path)
             ledger.dirty = True
     night.ledger.save(ledger.day)
+    night.ledger.release()
     return str(night.root / path)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from warehouse.execute import Outcome
-from warehouse.lineage import Record
+from warehouse.lineage import BUNDLE, Record
 from wheelset_assets.stages import SCAN_STAGES
 
 if TYPE_CHECKING:
@@ -77,8 +78,9 @@ def summarise(night: Night) -> Summary:
     result = Summary(points=kept.points, warnings=list(dict.fromkeys(kept.warnings)))
     result.compute_seconds = round(kept.compute_seconds, 3)
     behind = _not_reached(night)
+    states = _states(night, [name for name in night.state.present if name in kept.touched])
     for name in night.state.present:
-        state, record = _state_of(night, name) if name in kept.touched else ("", None)
+        state, record = states.get(name, ("", None))
         if name in behind or name in night.unread or state == "pending":
             result.pending += 1
         elif name not in kept.touched:
@@ -94,23 +96,45 @@ def summarise(night: Night) -> Summary:
     return result
 
 
+def _by_day(night: Night, names: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
+    """Names of usable scans by the day that they lie on; a day leaves memory before the next one is looked at."""
+    days: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        days[night.state.scans[name].day].append(name)
+    for day, found in sorted(days.items()):
+        yield day, found
+        night.ledger.release()
+
+
 def _not_reached(night: Night) -> set[str]:
     """Scans that still have work, because time ran out or because only others were asked for."""
     if not night.interrupted and not night.only:
         return set()
-    units = [u for u in night.state.scans.values() if u.key not in night.record.touched or night.interrupted]
-    return {unit.key for found in night.state.stale_units(units).values() for unit in found}
+    names = [n for n, u in night.state.scans.items() if u.key not in night.record.touched or night.interrupted]
+    behind: set[str] = set()
+    for _, found in _by_day(night, names):
+        stale = night.state.stale_units(night.state.scans[name] for name in found)
+        behind |= {unit.key for units in stale.values() for unit in units}
+    return behind
 
 
-def _state_of(night: Night, name: str) -> tuple[str, Record | None]:
-    """State of a scan, with the record that decided it."""
-    if name not in night.state.scans:
-        found = night.ledger.bundle(name)
-        return ("pending", None) if found is None else (found[1].state, found[1])
-    unit = night.state.scans[name]
-    ledger = night.ledger.day(unit.day)
-    for stage in SCAN_STAGES:
-        record = ledger.get(unit.key, stage.name)
+def _states(night: Night, names: list[str]) -> dict[str, tuple[str, Record | None]]:
+    """State of scans that the run touched, each with the record that decided it."""
+    usable = [name for name in names if name in night.state.scans]
+    states: dict[str, tuple[str, Record | None]] = {}
+    for day, found in _by_day(night, usable):
+        ledger = night.ledger.day(day)
+        for name in found:
+            states[name] = _state_of([ledger.get(night.state.scans[name].key, s.name) for s in SCAN_STAGES])
+    if others := set(names) - set(usable):
+        states |= dict.fromkeys(others, ("pending", None))
+        states |= {r.unit: (r.state, r) for _, r in night.ledger.records_of(BUNDLE) if r.unit in others}
+    return states
+
+
+def _state_of(records: list[Record | None]) -> tuple[str, Record | None]:
+    """What the records of a scan's stages, in their order, say of it."""
+    for record in records:
         if record is None:
             return "pending", None
         if not record.ok:

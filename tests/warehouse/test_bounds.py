@@ -157,11 +157,11 @@ def test_a_full_disk_stops_the_run_in_words_and_the_next_goes_on(
     place, warehouse = inbox_of(tmp_path / "inbox", scans=4), tmp_path / "w"
     real, room = store.write_table, [20]
 
-    def until_full(*arguments: object) -> object:
+    def until_full(*arguments: object, **options: object) -> object:
         room[0] -= 1
         if room[0] < 0:
             raise OSError(errno.ENOSPC, "No space left on device")
-        return real(*arguments)  # type: ignore[arg-type]
+        return real(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(store, "write_table", until_full)
     with pytest.raises((DiskFull, OSError), match=r"(?i)no (room|space)"):

@@ -12,6 +12,7 @@ from test_reading import SETTINGS, by_name, hidden, wheel
 from wheelset_assets.metrology.frame_series import frame_series
 from wheelset_assets.metrology.reading import Meridians, uneven
 from wheelset_assets.metrology.revolution import MeridianGrid
+from wheelset_assets.metrology.roundness import Spectrum, peak_to_peak
 from wheelset_assets.metrology.wheel_reading import read_wheel
 from wheelset_assets.quality import Flag
 
@@ -107,3 +108,20 @@ def test_a_single_frame_that_was_missed_is_no_gap_of_the_turn():
     found = by_name(read_wheel([inner, hidden(outer, one)], angle, "right", SETTINGS))
     assert found["flange_height"].flags & Flag.FRAMES_MISSING
     assert not found["flange_height"].flags & Flag.COVERAGE_GAP
+
+
+def test_a_range_that_does_not_stand_out_of_the_noise_says_so():
+    random = np.random.default_rng(11)
+    angle, grids = wheel(random)
+    found = by_name(read_wheel(grids, angle, "right", SETTINGS))
+    assert found["axial_runout"].value > 0
+    assert not found["axial_runout"].flags & Flag.NOT_DETECTED
+    round_wheel = [
+        replace(
+            g, lateral_mm=g.lateral_mm - np.nanmean(g.lateral_mm - np.nanmean(g.lateral_mm, axis=0), axis=1)[:, None]
+        )
+        for g in grids
+    ]
+    still = by_name(read_wheel(round_wheel, angle, "right", SETTINGS))["axial_runout"]
+    assert (still.value > 0) != bool(still.flags & Flag.NOT_DETECTED)
+    assert peak_to_peak(Spectrum(0.0, 1.0, np.zeros(6), np.zeros(6), np.eye(13), 1.0, 96)).flags is Flag.NOT_DETECTED
