@@ -5,11 +5,14 @@ from __future__ import annotations
 import contextlib
 import logging
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from pipelines.notify import send
 from warehouse import catalog, morning, reviews
 from warehouse.events import event
 from warehouse.night import Night
+from warehouse.pool import Pool
 from warehouse.summary import Summary
 
 
@@ -19,9 +22,7 @@ def finish(night: Night, notify: str | None = None) -> Summary:
     A recording that cannot be written is a trouble of its own and never sinks the run.
     """
     summary = night.summary()
-    for trouble in summary.troubles:
-        if trouble["state"] == "failed":
-            trouble["recording"] = _record(night, trouble["scan_id"])
+    _record(night, [trouble for trouble in summary.troubles if trouble["state"] == "failed"])
     catalog.update(night.root, night.ledger, night.state.inbox.reviews())
     summary.warnings += reviews.review_troubles(night.root) + catalog.limit_troubles(night.root)
     counts = {k: v for k, v in summary.as_json().items() if isinstance(v, int | float)}
@@ -45,20 +46,40 @@ def _tell(night: Night, summary: Summary, error: BaseException | None, notify: s
         summary.warnings.append(why)
 
 
-def _record(night: Night, scan_id: str) -> str | None:
+def _drawn(job: tuple[Path, str, Path]) -> None:
+    """Write one recording; runs in a worker."""
     from pipelines.replay import write_recording
 
-    path = f"recordings/{scan_id}.rrd"
-    try:
-        write_recording(night.root, scan_id, night.root / path, night.inbox_root)
-    except Exception as error:
-        night.progress("recording", f"{scan_id}: not written: {error}", 1, 1)
-        return None
-    ledger = night.ledger.day(night.state.scans[scan_id].day)
-    for key, record in ledger.current.items():
-        if key[0] == scan_id and not record.ok:
-            ledger.current[key] = replace(record, recording=path)
-            ledger.dirty = True
-    night.ledger.save(ledger.day)
-    night.ledger.release()
-    return str(night.root / path)
+    root, scan_id, inbox = job
+    write_recording(root, scan_id, root / _path(scan_id), inbox)
+
+
+def _path(scan_id: str) -> str:
+    return f"recordings/{scan_id}.rrd"
+
+
+def _record(night: Night, failed: list[dict[str, Any]]) -> None:
+    """Recordings of scans that failed, by this machine's workers; each trouble gets the path of its own, or None."""
+    by_name = {trouble["scan_id"]: trouble for trouble in failed}
+    jobs = [(night.root, scan_id, night.inbox_root) for scan_id in by_name]
+    if night.pool.cluster is None:
+        results = night.pool.run(_drawn, jobs)
+    else:
+        results = Pool(0).run(_drawn, jobs)
+    written: dict[str, list[str]] = {}
+    for n, ((_, scan_id, _), result) in enumerate(results, start=1):
+        by_name[scan_id]["recording"] = None
+        if isinstance(result, Exception):
+            night.progress("recording", f"{scan_id}: not written: {result}", n, len(jobs))
+            continue
+        by_name[scan_id]["recording"] = str(night.root / _path(scan_id))
+        written.setdefault(night.state.scans[scan_id].day, []).append(scan_id)
+        night.progress("recording", scan_id, n, len(jobs))
+    for day, names in sorted(written.items()):
+        ledger = night.ledger.day(day)
+        for key, record in ledger.current.items():
+            if key[0] in names and not record.ok:
+                ledger.current[key] = replace(record, recording=_path(key[0]))
+                ledger.dirty = True
+        night.ledger.save(day)
+        night.ledger.release()
