@@ -8,11 +8,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -293,6 +292,7 @@ def _verify_files(folder: Path, shown: str, header_name: str, listed: dict[str, 
     return found
 
 
+@lru_cache(maxsize=1024)
 def _leaves(name: str) -> str | None:
     """Why a listed path is no plain path within its folder, on this or another operating system; None if it is one."""
     path = PurePosixPath(name)
@@ -309,17 +309,20 @@ def _leaves(name: str) -> str | None:
 def _files_below(folder: Path, shown: str) -> set[str]:
     """Relative names of all files of a bundle; anything but plain files and folders refuses it (a pipe would never end)."""
     present: set[str] = set()
-    for base, folders, files in os.walk(folder, followlinks=False):
-        for name in (*folders, *files):
-            path = Path(base) / name
-            relative = path.relative_to(folder).as_posix()
-            mode = path.lstat().st_mode
-            if stat.S_ISLNK(mode):
-                raise BundleRefused(f"{shown}: {printable(relative)} is a link; expected plain files")
-            if stat.S_ISREG(mode):
-                present.add(relative)
-            elif not stat.S_ISDIR(mode):
-                raise BundleRefused(f"{shown}: {printable(relative)} is a device or pipe; expected plain files")
+    below = [""]
+    while below:
+        here = below.pop()
+        with os.scandir(os.path.join(folder, here)) as entries:
+            for entry in entries:
+                relative = here + entry.name
+                if entry.is_symlink():
+                    raise BundleRefused(f"{shown}: {printable(relative)} is a link; expected plain files")
+                if entry.is_file(follow_symlinks=False):
+                    present.add(relative)
+                elif entry.is_dir(follow_symlinks=False):
+                    below.append(f"{relative}/")
+                else:
+                    raise BundleRefused(f"{shown}: {printable(relative)} is a device or pipe; expected plain files")
     return present
 
 
