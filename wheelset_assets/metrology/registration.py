@@ -237,6 +237,8 @@ def register_meridians(
     prior holds them. The form floor is an error that is common to all pairs: it keeps directions that change the
     profile by less than that from counting as known. Raises AlgorithmFailed if too few pairs are left.
     """
+    if (fewest := min(len(source), len(target))) < settings.min_pairs:
+        raise AlgorithmFailed("a sensor saw too few rows to be registered", rows=fewest, required=settings.min_pairs)
     psi = np.radians(direction_deg)
     radial_axis = np.array([0.0, np.cos(psi), np.sin(psi)])
     points = source[:, :1] * np.array([1.0, 0, 0]) + source[:, 1:] * radial_axis

@@ -237,6 +237,9 @@ def register_by_icp(
     station: StationScan, source: View, target: View, keypoints: Keypoints, config: RegistrationConfig
 ) -> tuple[Array | None, dict[str, Any]]:
     curves = {view: station.curves[view] for view in (source, target)}
+    if min(map(len, curves.values())) < config.min_pairs:  # too few frames for a mean meridian, or hardly a row
+        missing = Flag.SENSOR_MISSING if station.missing else Flag.NONE
+        return None, _nominal_row(station, source, target, missing | Flag.NO_REGISTRATION)
     direction = station.grids[source].direction_deg
     tolerance_mm, tolerance_rad = (
         config.nominal_translation_mm * np.sqrt(2),

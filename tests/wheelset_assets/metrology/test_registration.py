@@ -314,3 +314,11 @@ def test_profiles_without_overlap_are_refused_with_the_number_of_pairs():
     with pytest.raises(AlgorithmFailed, match="too few points") as failure:
         reg.register_meridians(source, target, psi, np.eye(4), SETTINGS)
     assert failure.value.facts["required"] == 30
+
+
+@pytest.mark.parametrize("n", [0, 1, 20])
+def test_profiles_of_a_few_points_are_refused(n):
+    source, target, _, psi = two_views(np.random.default_rng(10))
+    for pair in ((source[:n], target), (source, target[:n])):
+        with pytest.raises(AlgorithmFailed, match="too few rows"):
+            reg.register_meridians(*pair, psi, np.eye(4), SETTINGS)

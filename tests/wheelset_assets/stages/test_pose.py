@@ -209,6 +209,16 @@ def test_without_overlap_the_nominal_pose_is_named_and_used_for_nothing(world, e
     assert seen == {"left_wheel_inner"}
 
 
+@pytest.mark.parametrize("name", ["left_wheel_inner", "left_wheel_outer"])
+def test_a_sensor_of_two_frames_has_no_meridian_and_is_not_registered(world, exact, name):
+    cloud = exact.tables.filtered_clouds
+    mine = np.array(cloud["sensor_id"].to_pylist()) == name
+    found = world.pose(exact, cloud.filter(~mine | (cloud["frame"].to_numpy() < 2)))
+    row = one(found.registrations, station="left_wheel")
+    assert (row["method"], row["quality_flags"]) == ("nominal", ["no_registration"])
+    assert one(found.registrations, station="right_wheel")["method"] == "icp"
+
+
 # --- alignment
 
 
