@@ -109,12 +109,24 @@ class CurveProjection:
     nearest_mm: Array
 
 
+SIDE_POINTS = 4
+"""Points of a curve that a foot needs on either side."""
+TUKEY = 4.685
+"""Residuals of so many robust standard deviations have no weight; 95 % efficient where all of them are normal."""
+NORMAL_WEIGHT, NORMAL_SQUARE, NORMAL_VARIANCE = 0.9151, 0.7578, 1.0526
+"""Of normal residuals under these weights: their mean, that of weighted squares, and the estimate's variance over that of
+least squares."""
+LEAST_SIGMA_MM = 1e-4
+"""Stored coordinates are rounded to about this: nothing is told apart below."""
+
+
 def project_on_curve(points: Array, curve: Array, half_width_mm: float = 1.5, half_count: int = 24) -> CurveProjection:
     """Distance of points (n, 2) from a noisy curve (m, 2) given in order, by local quadratics about the nearest point.
 
     A local line would be short of the curve by its sagitta (12 um over +-1 mm at a radius of 14 mm); a quadratic is
-    right to third order. A point beyond the curve's end, or at a gap, has no foot. The curve's normal points to the
-    left of its direction of travel.
+    right to third order. A point beyond the curve's end, or at a gap, has no foot, nor has one with fewer than
+    SIDE_POINTS of the curve's points to either side: there the quadratic leans on one side and is off by the curve's
+    third order. The curve's normal points to the left of its direction of travel.
     """
     spacing = float(np.median(np.linalg.norm(np.diff(curve, axis=0), axis=1))) if len(curve) > 1 else half_width_mm
     half_width_mm = max(half_width_mm, 6 * spacing)  # coarse images need a wider window for the same number of points
@@ -139,7 +151,8 @@ def project_on_curve(points: Array, curve: Array, half_width_mm: float = 1.5, ha
     slope = coefficients[:, 1] + 2 * coefficients[:, 2] * px
     stretch = np.sqrt(1 + slope * slope)
     gap = py - (coefficients[:, 0] + coefficients[:, 1] * px + coefficients[:, 2] * px * px)
-    inside = (np.where(weight > 0, x, np.inf).min(axis=1) <= px) & (np.where(weight > 0, x, -np.inf).max(axis=1) >= px)
+    before = ((weight > 0) & (x < px[:, None])).sum(axis=1)
+    inside = np.minimum(before, count - before) >= SIDE_POINTS
     curve_normal = (normal - slope[:, None] * tangent) / stretch[:, None]
     return CurveProjection(gap / stretch, curve_normal, solvable & inside, np.linalg.norm(relative, axis=1))
 
@@ -250,11 +263,11 @@ def register_meridians(
     for done in range(1, settings.max_iterations + 1):  # noqa: B007  (read after the loop)
         if pairs.n < settings.min_pairs:
             break
-        weight = 1.0 / (pairs.sigma**2 + pairs.n * settings.form_floor_mm**2)
+        weight = 1.0 / (pairs.sigma**2 + pairs.weight.sum() * settings.form_floor_mm**2)
         jacobian = np.hstack([np.cross(pairs.moved - centre, pairs.normal), pairs.normal])
         offset = _offset_from_nominal(motion, centre)
-        normal = jacobian.T @ (jacobian * weight) + prior
-        delta = -np.linalg.solve(normal, jacobian.T @ (weight * pairs.distance) + prior @ offset)
+        normal = jacobian.T @ (jacobian * (weight * pairs.weight)[:, None]) + prior
+        delta = -np.linalg.solve(normal, jacobian.T @ (weight * pairs.weight * pairs.distance) + prior @ offset)
         rotation = rigid.rotation_from_vector(delta[:3])
         motion = rigid.transform(rotation, centre - rotation @ centre + delta[3:]) @ motion
         step = float(np.abs(delta[3:]).max() + np.abs(delta[:3]).max() * np.ptp(points, axis=0).max())
@@ -275,6 +288,8 @@ class _Pairs:
     moved: Array
     normal: Array
     distance: Array
+    weight: Array
+    """Tukey's, of the distance: where a profile has a kink, or dirt, neither sensor's curve is the surface."""
     sigma: float
     share: float
 
@@ -287,8 +302,9 @@ def _pairs(points: Array, motion: Array, target: Array, reach: float) -> _Pairs:
     outward = moved[:, 1:] / radius[:, None]
     normal = np.column_stack([projection.normal[:, 0], projection.normal[:, 1:] * outward])[keep]
     distance = projection.distance_mm[keep]
-    sigma = max(1.4826 * float(np.median(np.abs(distance))), 1e-5) if keep.any() else reach
-    return _Pairs(int(keep.sum()), moved[keep], normal, distance, sigma, float(keep.mean()))
+    sigma = max(1.4826 * float(np.median(np.abs(distance))), LEAST_SIGMA_MM) if keep.any() else reach
+    weight = np.clip(1.0 - (distance / (TUKEY * sigma)) ** 2, 0.0, None) ** 2
+    return _Pairs(int(keep.sum()), moved[keep], normal, distance, weight, sigma, float(keep.mean()))
 
 
 def _offset_from_nominal(motion: Array, centre: Array) -> Array:
@@ -307,11 +323,15 @@ def _summarise(
     converged: bool,
 ) -> MeridianRegistration:
     jacobian = np.hstack([np.cross(pairs.moved - centre, pairs.normal), pairs.normal])
-    rmse = float(np.sqrt((pairs.distance**2).mean()))
-    correlation = _correlation_length(pairs.distance)
-    variance = max(rmse, 1e-6) ** 2 * correlation
-    information = jacobian.T @ jacobian / variance
-    known = jacobian.T @ jacobian / (variance + pairs.n * settings.form_floor_mm**2)
+    total = float(pairs.weight.sum())
+    # What weights take off the squares and off the information of normal residuals is given back.
+    square = (pairs.weight * pairs.distance**2).sum() / total * NORMAL_WEIGHT / NORMAL_SQUARE
+    rmse = float(np.sqrt(square))
+    correlation = _correlation_length(pairs.distance, pairs.weight)
+    variance = max(rmse, LEAST_SIGMA_MM) ** 2 * correlation * NORMAL_VARIANCE * NORMAL_WEIGHT
+    weighted = jacobian.T @ (jacobian * pairs.weight[:, None])
+    information = weighted / variance
+    known = weighted / (variance + total * settings.form_floor_mm**2)
     root = np.sqrt(np.diag(1.0 / np.diag(prior)))
     # In units of the prior: an eigenvalue of 1 / ratio^2 cuts the prior's uncertainty to that ratio.
     gain, directions = np.linalg.eigh(root @ known @ root)
@@ -344,9 +364,9 @@ def _summarise(
     )
 
 
-def _correlation_length(residuals: Array) -> float:
-    """Factor by which correlation between neighbouring residuals inflates the variance of their mean."""
-    centred = residuals - residuals.mean()
+def _correlation_length(residuals: Array, weight: Array) -> float:
+    """Factor by which correlation between neighbouring residuals inflates the variance of their weighted mean."""
+    centred = np.sqrt(weight) * (residuals - (weight * residuals).sum() / weight.sum())
     variance = float((centred**2).mean())
     if variance == 0:
         return 1.0
