@@ -238,6 +238,17 @@ class IcpSettings:
     min_pairs: int
     form_floor_mm: float
     constrained_ratio: float
+    strain_u: float = 0.0
+    """Standard uncertainty of the strain of one meridian against the other, in each of its three components."""
+
+
+def silent_strain(tolerance_rad: float) -> float:
+    """Standard uncertainty of the strain between two meridians whose sensors are each turned by up to tolerance_rad.
+
+    A sensor that is turned by theta about a silent direction sees its meridian under that angle: shortened by
+    theta^2 / 2, which no registration of rigid bodies takes away. Rotation vectors that fill a ball, two sensors.
+    """
+    return float(np.sqrt(2.0 * (3.0 / 35.0 - 1.0 / 25.0))) / 2.0 * tolerance_rad**2
 
 
 def register_meridians(
@@ -343,6 +354,8 @@ def _summarise(
     data = told @ (told.T @ root @ information @ root @ told) @ told.T
     data += (directions * np.where(constrained, 0.0, gain)) @ directions.T
     covariance = root @ np.linalg.inv(data + np.eye(6)) @ root
+    pull = covariance @ (jacobian * pairs.weight[:, None]).T / variance @ _strains(pairs, centre)
+    covariance = covariance + (pull * settings.strain_u**2) @ pull.T
     offset = _offset_from_nominal(motion, centre)
     tangential = np.cross([1.0, 0, 0], radial_axis)
     axes = (np.r_[tangential, 0, 0, 0], np.r_[0, 0, 0, 1.0, 0, 0], np.r_[0, 0, 0, radial_axis])
@@ -362,6 +375,18 @@ def _summarise(
         *values,
         *u,
     )
+
+
+def _strains(pairs: _Pairs, centre: Array) -> Array:
+    """Displacement (n, 3) of each pair along its normal by unit strains of the source's meridian against the target's:
+    along the axle, away from it, and the shear between both.
+    """
+    lateral = pairs.moved[:, 0] - centre[0]
+    radius = np.hypot(pairs.moved[:, 1], pairs.moved[:, 2])
+    radial = radius - np.hypot(centre[1], centre[2])
+    outward = (pairs.normal[:, 1:] * pairs.moved[:, 1:]).sum(axis=1) / radius
+    shear = 0.5 * (pairs.normal[:, 0] * radial + outward * lateral)
+    return np.column_stack([pairs.normal[:, 0] * lateral, outward * radial, shear])
 
 
 def _correlation_length(residuals: Array, weight: Array) -> float:

@@ -265,6 +265,7 @@ def register_by_icp(
         config.min_pairs,
         config.form_floor_um * 1e-3,
         config.constrained_ratio,
+        registration.silent_strain(np.radians(config.nominal_rotation_deg)),
     )
     found, started_coarse = _best_start(curves[source], curves[target], direction, start, settings)
     if not started_coarse:

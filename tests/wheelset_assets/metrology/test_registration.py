@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -197,10 +198,12 @@ def test_beyond_the_end_and_in_a_gap_there_is_no_foot():
 # --- registration of two meridians
 
 
-def two_views(random, *, sigma=0.002, correlation=0.0, target=(-69.0, 5.0), source=(-38.0, 60.0), height=s1002):
+def two_views(
+    random, *, sigma=0.002, correlation=0.0, strain=0.0, target=(-69.0, 5.0), source=(-38.0, 60.0), height=s1002
+):
     """Profiles (lateral, radial) of one wheel as two sensors see them, the second one out of place by a known motion.
 
-    Noise along the normal, first-order autoregressive along the rows; different places of the rows. Returns the
+    strain: standard deviation of the components of a strain of the second one about its mean. Noise along the normal, first-order autoregressive along the rows; different places of the rows. Returns the
     source, the target, the true motion and the direction of the meridian.
     """
     psi = random.uniform(60, 120)
@@ -213,7 +216,9 @@ def two_views(random, *, sigma=0.002, correlation=0.0, target=(-69.0, 5.0), sour
         views.append(view + sigma * noise[:, None] * normal + [700.0, 460.0])
     motion = meridian_motion(psi, (720.0, 455.0), np.radians(random.uniform(-0.8, 0.8)), *random.uniform(-1.2, 1.2, 2))
     c, s = np.cos(np.radians(psi)), np.sin(np.radians(psi))
-    seen, there = views[1], np.array([0, c, s])
+    bent, there = views[1] - views[1].mean(axis=0), np.array([0, c, s])
+    along, across, shear = strain * random.standard_normal(3)
+    seen = views[1] + bent @ [[along, shear / 2], [shear / 2, across]]
     moved = rigid.apply(rigid.inverse(motion), seen[:, :1] * [1, 0, 0] + seen[:, 1:] * there)
     return np.column_stack([moved[:, 0], moved[:, 1:] @ [c, s]]), views[0], motion, psi
 
@@ -242,6 +247,32 @@ def test_meridian_motions_two_sided(correlation):
     for column in np.array(pulls).T:
         assert_pulls(column)
         assert_unbiased(column / np.sqrt((column**2).mean()))
+
+
+def test_a_strain_that_is_not_known_counts():
+    """Sixty pairs of views of little noise, one of each pair strained: its uncertainty is most of the claim, two-sided."""
+    settings, pulls = replace(SETTINGS, strain_u=1e-4), []
+    for seed in range(60):
+        source, target, motion, psi = two_views(np.random.default_rng(seed), sigma=0.0005, strain=1e-4)
+        found, rigid_only = (reg.register_meridians(source, target, psi, np.eye(4), s) for s in (settings, SETTINGS))
+        truth = meridian_offsets(motion, found.centre_mm, psi)
+        estimate = (found.rotation_rad, found.lateral_mm, found.radial_mm)
+        u = (found.u_rotation_rad, found.u_lateral_mm, found.u_radial_mm)
+        pulls.append([(e - t) / w for e, t, w in zip(estimate, truth, u, strict=True)])
+        assert found.u_lateral_mm > 1.5 * rigid_only.u_lateral_mm
+    for column in np.array(pulls).T:
+        assert_pulls(column)
+
+
+def test_the_silent_strain_is_that_of_turned_sensors():
+    """Two sensors, each turned by a rotation vector in a ball of one degree: the difference of their cosines."""
+    random = np.random.default_rng(6)
+    vectors = random.standard_normal((2, 200_000, 3))
+    vectors *= (
+        np.radians(1.0) * random.random((2, 200_000, 1)) ** (1 / 3) / np.linalg.norm(vectors, axis=2, keepdims=True)
+    )
+    shortened = 1 - np.cos(vectors[..., 0])
+    assert np.std(shortened[0] - shortened[1]) == pytest.approx(reg.silent_strain(np.radians(1.0)), rel=0.01)
 
 
 def test_the_three_silent_directions_stay_where_the_nominal_pose_holds_them():
