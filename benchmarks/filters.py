@@ -20,7 +20,7 @@ import numpy as np
 FRAMES, ROWS, BLOCK = 1000, 1024, 125
 NOISE_MM = 0.03
 TARGET = 20e6
-KINDS = ("median", "mean", "gaussian", "bilateral")
+KINDS = ("median", "mean", "gaussian", "quadratic", "bilateral")
 EDGE_ROWS = 4
 Array = np.ndarray[Any, Any]
 

@@ -94,9 +94,11 @@ def make_base(folder: Path, frames: int = 32, rows: int = 512) -> Base:
         return Base(folder, scan.name, values(place / "warehouse", base.scan_id))
 
 
-def run(inbox: Path, warehouse: Path, catalogued: bool = True) -> Summary:
-    """A night in this process, without an orchestrator; its catalog costs more than an example, and is left out of most."""
-    with Night(warehouse, inbox, CONFIG, workers=0, wait_seconds=0) as night:
+def run(inbox: Path, warehouse: Path, catalogued: bool = True, workers: int = 0) -> Summary:
+    """A night, by default in this process, without an orchestrator; its catalog costs more than an example, and is left
+    out of most.
+    """
+    with Night(warehouse, inbox, CONFIG, workers=workers, wait_seconds=0) as night:
         night.prepare()
         night.run_calibrations()
         for day in night.days_with_work():
@@ -130,7 +132,7 @@ def _place(base: Base) -> Iterator[Path]:
         yield place
 
 
-def example(base: Base, seed: int, kinds: tuple[str, ...] = ()) -> Verdict:
+def example(base: Base, seed: int, kinds: tuple[str, ...] = (), workers: int = 0) -> Verdict:
     """Spoil the good scan as the seed says (or in the kinds given), run a night, and judge."""
     random = np.random.default_rng(seed)
     names = sorted(MUTATIONS)
@@ -153,7 +155,7 @@ def example(base: Base, seed: int, kinds: tuple[str, ...] = ()) -> Verdict:
         before = _tree(place)
         try:
             with _time_limit():
-                summary = run(place / "inbox", place / "warehouse", catalogued=seed % 10 == 0)
+                summary = run(place / "inbox", place / "warehouse", seed % 10 == 0, workers)
                 outcome, problem = _judge(base, place, summary, payload)
                 if seed % 10 == 0:
                     scans = place / "inbox" / "scans"
@@ -274,7 +276,8 @@ def main() -> int:
         ]
         for n, (job, result) in enumerate(pool.run(_work, jobs), start=1):
             if isinstance(result, WorkerDied):
-                result = Verdict(job[2], job[3], "worker died", str(result), 0.0)
+                # A library ended the process, as on damaged files it may: a night has workers to lose, so it is tried there.
+                result = example(base, job[2], job[3], workers=1)
             elif isinstance(result, Exception):
                 raise result
             for kind in {text.split(":")[0] for text in result.what}:

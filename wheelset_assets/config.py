@@ -103,8 +103,9 @@ class FilteringConfig(Section):
     )
     outlier_window_rows: int = Field(11, ge=5, description="Window of the test along rows (odd)")
     min_cluster_rows: int = Field(6, ge=1, description="Shorter runs of rows between gaps are removed as isolated")
-    smoothing: Literal["none", "median", "mean", "gaussian", "bilateral"] = Field(
-        "gaussian", description="eq. 14, 15 or 16-17, or edge-preserving, on the organised frame x row grid"
+    smoothing: Literal["none", "median", "mean", "gaussian", "quadratic", "bilateral"] = Field(
+        "quadratic",
+        description="eq. 14, 15 or 16-17, a parabola with the Gaussian's weights, or edge-preserving, on the organised frame x row grid",
     )
     bilateral_um: float = Field(
         60.0, gt=0, description="Bilateral smoothing: neighbours that depart by more than this hardly count"
@@ -117,11 +118,13 @@ class FilteringConfig(Section):
     edge_sigmas: float = Field(
         6.0, ge=5, description="The same in standard uncertainties of a point's depth, where that is more than edge_mm"
     )
-    window_rows: int = Field(5, ge=1, description="Smoothing window along rows (odd)")
+    window_rows: int = Field(7, ge=1, description="Smoothing window along rows (odd)")
     window_frames: int = Field(
         1, ge=1, description="Smoothing window along frames (odd); 1 leaves the frames independent"
     )
-    gaussian_sigma_rows: float = Field(1.0, gt=0, description="Standard deviation of the Gaussian, in rows")
+    gaussian_sigma_rows: float = Field(
+        1.5, gt=0, description="Standard deviation of the Gaussian and of the parabola's weights, in rows"
+    )
     max_rows: int = Field(512, ge=32, description="After smoothing, one of every round(n / max_rows) rows is kept")
 
 

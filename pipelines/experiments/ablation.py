@@ -11,7 +11,7 @@ from pipelines.experiments.output import FigureOption, OutOption
 from pipelines.options import JsonOption
 
 SHOWN = ("wheel_diameter", "journal_diameter", "inner_distance", "flange_height", "flange_thickness", "qr")
-DEFAULTS = {"filter": "gaussian", "registration": "point to curve, with prior"}
+DEFAULTS = {"filter": "quadratic", "registration": "point to curve, with prior"}
 
 
 @experiment_app.command()

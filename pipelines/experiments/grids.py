@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-FILTERS = ("none", "median", "mean", "gaussian", "bilateral")
+FILTERS = ("none", "median", "mean", "gaussian", "quadratic", "bilateral")
 
 
 @dataclass(frozen=True)

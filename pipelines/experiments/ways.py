@@ -37,17 +37,18 @@ FREQUENCY_ROUNDS = 4
 
 
 def filters() -> dict[str, Config]:
-    """Configurations by what they do in stage 3; the default is `gaussian`."""
+    """Configurations by what they do in stage 3; the default is `quadratic`."""
     base = Config()
     changes: dict[str, dict[str, Any]] = {
         "none": {"smoothing": "none"},
         "median 5": {"smoothing": "median"},
         "mean 5": {"smoothing": "mean"},
-        "gaussian": {},
-        "gaussian, sigma 2, 9 rows": {"gaussian_sigma_rows": 2.0, "window_rows": 9},
-        "gaussian, sigma 4, 17 rows": {"gaussian_sigma_rows": 4.0, "window_rows": 17},
+        "gaussian": {"smoothing": "gaussian"},
+        "gaussian, sigma 2, 9 rows": {"smoothing": "gaussian", "gaussian_sigma_rows": 2.0, "window_rows": 9},
+        "quadratic": {},
+        "quadratic, sigma 2, 9 rows": {"gaussian_sigma_rows": 2.0, "window_rows": 9},
         "bilateral": {"smoothing": "bilateral"},
-        "gaussian, no outlier test": {"outlier_sigmas": 1e9},
+        "quadratic, no outlier test": {"outlier_sigmas": 1e9},
     }
     return {
         name: base.model_copy(update={"filtering": base.filtering.model_copy(update=change)})

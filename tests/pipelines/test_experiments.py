@@ -84,6 +84,7 @@ def test_smoothing_of_a_stored_scan_finds_the_noise_that_is_claimed(tmp_path, ti
     for kind in (
         "mean",
         "gaussian",
+        "quadratic",
     ):  # rows are a millimetre apart: what is left of the course over the turn adds a little
         assert rows[kind]["claimed_factor"] - 0.03 < rows[kind]["noise_factor"] < rows[kind]["claimed_factor"] + 0.1
         assert rows[kind]["points_lost"] == 0
@@ -110,7 +111,7 @@ def test_an_ablation_is_summarised_by_way_and_quantity_against_the_default():
         return {"varied": "filter", "way": way, "quantity": "qr", "value": 7 + error_um * 1e-3, "truth": 7.0, "u": 0.002,
                 "flags": []} | given  # fmt: skip
 
-    errors = [row("gaussian", e) for e in (-2.0, 0.0, 2.0)] + [row("none", e) for e in (2.0, 4.0, 6.0)]
+    errors = [row("quadratic", e) for e in (-2.0, 0.0, 2.0)] + [row("none", e) for e in (2.0, 4.0, 6.0)]
     errors += [row("none", 900.0, flags=["not_detected"]), row("none", 0.0, value=None), row("none", 1.0, truth=None)]
     default, other = summarised(errors)
     assert (default["bias_um"], default["spread_um"], default["p95_ratio"]) == pytest.approx((0.0, 2.0, 1.0))

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from wheelset_assets.metrology.grids import blocks, nan_median, robust_scatter
 from wheelset_assets.metrology.window_median import median_smoothed, row_window_median
-from wheelset_assets.metrology.windows import Smoothed, bilateral, full_kernel, noise_factor, paired_mean
+from wheelset_assets.metrology.windows import (
+    Smoothed,
+    bilateral,
+    full_kernel,
+    local_quadratic,
+    noise_factor,
+    paired_mean,
+)
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -130,16 +137,18 @@ def smooth(
     range_mm: float = 0.03,
     edge_mm: float = np.inf,
 ) -> Smoothed:
-    """Smoothed depth over a window of the organised grid; `kind` is none, median, mean, gaussian or bilateral.
+    """Smoothed depth over a window of the organised grid; `kind`: none, median, mean, gaussian, quadratic or bilateral.
 
     median: eq. 14. mean: eq. 15. gaussian: eq. 16-17 with the spacing of rows as unit and the sum of weights as c.
-    bilateral (Tomasi and Manduchi 1998): the Gaussian, each pair faded by how far its mean lies from the point, range_mm
-    being the standard deviation: along the rows alone, so that an edge keeps its place. A
-    neighbour enters only together with its mirror image about the point, and only if every nearer pair is there too:
-    so a slope is never biased at the end of a gap, and nothing is averaged across one. For the mean and the Gaussian a
+    quadratic: a parabola fitted with the Gaussian's weights, which keeps the height of a curved surface. bilateral
+    (Tomasi and Manduchi 1998): the Gaussian, each pair faded by how far its mean lies from the point, range_mm being the
+    standard deviation. These two work along the rows alone.
+
+    A neighbour enters only together with its mirror image about the point, and only if every nearer pair is there too:
+    so a slope is never biased at the end of a gap, and nothing is averaged across one. For mean, Gaussian and parabola a
     pair whose mean lies farther than edge_mm from the point ends the window as a gap does: an edge is not smeared, while
-    a slope of any steepness has pairs that agree. noise_correlation is the
-    correlation of the centres' noise between neighbouring rows (first-order autoregressive), for the noise factor.
+    a slope of any steepness has pairs that agree. noise_correlation is the correlation of the centres' noise between
+    neighbouring rows (first-order autoregressive), for the noise factor.
     """
     if kind == "none" or (window_rows <= 1 and window_frames <= 1):
         return Smoothed(depth_mm, np.where(np.isfinite(depth_mm), 1.0, np.nan))
@@ -150,6 +159,8 @@ def smooth(
     half = window_rows // 2
     offsets = np.arange(1, half + 1)
     weights = np.ones(half) if kind == "mean" else np.exp(-(offsets**2) / (2 * sigma_rows**2))
+    if kind == "quadratic":
+        return local_quadratic(depth_mm, weights, noise_correlation, edge_mm)
     factors = np.array([noise_factor(full_kernel(weights[:k]), noise_correlation) for k in range(half + 1)])
     value, factor = paired_mean(depth_mm, weights, factors, 1, edge_mm)
     if window_frames > 1:

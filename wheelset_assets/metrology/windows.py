@@ -5,6 +5,7 @@ No window medians (window_median) and no choice among filters (filtering.smooth)
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,12 +50,27 @@ def paired_mean(values: Array, weights: Array, factors: Array, axis: int, edge: 
 def _paired_mean_of_block(
     values: Array, weights: Array, totals: Array, factors: Array, axis: int, edge: float
 ) -> tuple[Array, Array]:
+    total, seen, support = values.copy(), np.isfinite(values), np.zeros(values.shape, np.int8)
+    for k, middle, pair, joined in _pairs(values, len(weights), axis, edge):
+        pair *= weights[k - 1]
+        total[middle] += pair
+        support[middle] += joined
+    total /= totals.take(support)
+    factor = factors.take(support)
+    np.copyto(factor, np.nan, where=~seen)
+    return total, factor
+
+
+def _pairs(values: Array, half: int, axis: int, edge: float) -> Iterator[tuple[int, tuple[slice, slice], Array, Mask]]:
+    """For k = 1, 2, ...: the places that have neighbours k before and after, the sums of both, and where they count.
+
+    They count where all nearer ones do and their mean lies within `edge` of the point; elsewhere their sum is zero.
+    """
     n = values.shape[axis]
-    total, connected = values.copy(), np.isfinite(values)
-    seen, support = connected, np.zeros(values.shape, np.int8)
-    for k, w in enumerate(weights, start=1):
+    connected = np.isfinite(values)
+    for k in range(1, half + 1):
         if 2 * k >= n:
-            break
+            return
         middle, before, after = _along(axis, k, n - k), _along(axis, 0, n - 2 * k), _along(axis, 2 * k, n)
         pair = values[after] + values[before]
         away = 0.5 * pair
@@ -63,16 +79,53 @@ def _paired_mean_of_block(
         with np.errstate(invalid="ignore"):
             joined = away <= edge  # false where one is missing
         joined &= connected[middle]
-        pair *= w
         np.copyto(pair, 0.0, where=~joined)
-        total[middle] += pair
-        support[middle] += joined
+        yield k, middle, pair, joined
         connected = np.zeros(values.shape, bool)
         connected[middle] = joined
-    total /= totals.take(support)
-    factor = factors.take(support)
-    np.copyto(factor, np.nan, where=~seen)
-    return total, factor
+
+
+def local_quadratic(values: Array, weights: Array, correlation: float, edge: float) -> Smoothed:
+    """Value at each point of the parabola through it and its mirrored pairs of neighbours along the rows, weighted.
+
+    Savitzky and Golay 1964, with weights (half,) for the pairs. A parabola keeps its height, so a curved surface is not
+    drawn inwards as by a mean; as both sides of the point enter alike, cubic terms drop out too. With fewer than two
+    pairs before a gap or an edge there is nothing to fit: the point stays as it is.
+    """
+    half = len(weights)
+    kernels = np.stack([_quadratic_kernel(weights, k) for k in range(half + 1)])
+    factors = np.array([noise_factor(np.concatenate([c[:0:-1], c]), correlation) for c in kernels])
+    value, factor = np.empty(values.shape), np.empty(values.shape)
+    for part in blocks(values.shape):
+        here = values[part]
+        support = np.zeros(here.shape, np.int8)
+        sums = []
+        for _, middle, pair, joined in _pairs(here, half, 1, edge):
+            support[middle] += joined
+            sums.append((middle, pair))
+        total = here * kernels[:, 0].take(support)
+        for k, (middle, pair) in enumerate(sums, start=1):
+            pair *= kernels[:, k].take(support[middle])
+            total[middle] += pair
+        value[part] = total
+        some = factors.take(support)
+        np.copyto(some, np.nan, where=np.isnan(here))
+        factor[part] = some
+    return Smoothed(value, factor)
+
+
+def _quadratic_kernel(weights: Array, pairs: int) -> Array:
+    """Coefficients (half + 1,) of the point and of each pair's members when `pairs` pairs are there."""
+    kernel = np.zeros(len(weights) + 1)
+    kernel[0] = 1.0
+    if pairs < 2:
+        return kernel
+    place = np.arange(pairs + 1)
+    w = np.concatenate([[1.0], weights[:pairs]])
+    both = np.where(place > 0, 2.0, 1.0) * w
+    zeroth, second, fourth = (float((both * place**power).sum()) for power in (0, 2, 4))
+    kernel[: pairs + 1] = w * (fourth - second * place**2) / (zeroth * fourth - second**2)
+    return kernel
 
 
 def _along(axis: int, start: int, stop: int) -> tuple[slice, slice]:

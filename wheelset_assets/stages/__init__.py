@@ -24,7 +24,7 @@ CALIBRATION = Stage(
     run=run_calibrations,
 )
 TRIANGULATION = Stage(
-    version=4,
+    version=5,
     meaning="Stripe centres matched along epipolar lines and triangulated (eq. 1-13)",
     scope="scan",
     inputs=("calibrations",),
@@ -34,7 +34,7 @@ TRIANGULATION = Stage(
     run=run_triangulated_clouds,
 )
 FILTERING = Stage(
-    version=3,
+    version=4,
     meaning="Range gate, outliers, smoothing (eq. 14-17) and thinning on the organised grid",
     scope="scan",
     inputs=("triangulated_clouds", "stripe_statistics"),

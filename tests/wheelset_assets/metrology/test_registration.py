@@ -203,8 +203,9 @@ def two_views(
 ):
     """Profiles (lateral, radial) of one wheel as two sensors see them, the second one out of place by a known motion.
 
-    strain: standard deviation of the components of a strain of the second one about its mean. Noise along the normal, first-order autoregressive along the rows; different places of the rows. Returns the
-    source, the target, the true motion and the direction of the meridian.
+    strain: standard deviation of the components of a strain of the second one about its mean. Noise along the normal,
+    first-order autoregressive along the rows; different places of the rows. Returns the source, the target, the true
+    motion and the direction of the meridian.
     """
     psi = random.uniform(60, 120)
     views = []

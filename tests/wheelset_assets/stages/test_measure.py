@@ -63,6 +63,7 @@ def test_zeroed_quantities_against_the_truth_two_sided(several):
     for table, truth in several:
         for row in table.to_pylist():
             if row["quantity"] in ZEROED:
+                assert row["value"] is not None, row["reason"]
                 u = row["expanded_uncertainty"] / row["coverage_factor"]
                 pulls.append((row["value"] - truth[row["quantity"], row["side"]]) / u)
     assert len(pulls) == 24
@@ -77,6 +78,7 @@ def test_profile_and_run_out_against_the_truth_one_by_one(several):
             if row["quantity"] not in ZEROED and row["value"] is not None:
                 if row["quantity"].startswith("inner_distance_") and row["quantity"] != "inner_distance_variation":
                     continue  # places of the encoder's, not of the wheelset's
+                assert row["value"] is not None, row["reason"]
                 u = row["expanded_uncertainty"] / row["coverage_factor"]
                 # At 256 rows smoothing and noise add some ten micrometres to run-outs and to small radii.
                 assert abs(row["value"] - truth[row["quantity"], row["side"]]) < 3.5 * u + 0.02, row["quantity"]
