@@ -66,7 +66,7 @@ def test_the_snapshot_is_the_golden_one() -> None:
 
 
 def test_code_versions_follow_the_knobs() -> None:
-    changed = Config.model_validate({"filtering": {"window_rows": 7}})
+    changed = Config.model_validate({"filtering": {"window_rows": 9}})
     versions = [
         {a.key.to_user_string(): next(iter(a.specs)).code_version for a in build_assets(c)} for c in (Config(), changed)
     ]
