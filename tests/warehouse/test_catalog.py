@@ -352,7 +352,7 @@ def test_values_that_were_collected_are_not_left_out_in_silence(
 ) -> None:
     made(inbox, tmp_path, Config.model_validate({"filtering": {"window_rows": 5}}))
     moment = datetime.now(UTC)
-    made(inbox, tmp_path, Config.model_validate({"filtering": {"window_rows": 7}}))
+    made(inbox, tmp_path, Config.model_validate({"filtering": {"window_rows": 9}}))
     with catalog.as_of(tmp_path, moment) as connection:
         assert connection.execute("SELECT count(*) FROM measurements").fetchone() != (0,)
     later = datetime.now(UTC)

@@ -196,7 +196,7 @@ def test_a_bundle_that_vanished_refuses_the_scan(tmp_path: Path) -> None:
 
 def test_the_fingerprint_depends_on_stage_knobs_and_inputs() -> None:
     config = Config()
-    changed = config.model_copy(update={"filtering": config.filtering.model_copy(update={"window_rows": 7})})
+    changed = config.model_copy(update={"filtering": config.filtering.model_copy(update={"window_rows": 9})})
     inputs = (("a", "1"), ("b", "2"))
     prints = [fingerprint(stage, stage_config(config, stage), inputs) for stage in STAGES]
     prints += [

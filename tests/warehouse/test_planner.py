@@ -68,7 +68,7 @@ def test_a_json_of_many_images_is_read_whole(inbox: Path, warehouse: Path) -> No
 
 def test_why(inbox: Path, warehouse: Path, stages: FakeStages) -> None:
     run_night(inbox, warehouse)
-    config = Config.model_validate({"filtering": {"window_rows": 7}})
+    config = Config.model_validate({"filtering": {"window_rows": 9}})
     (day,) = plan(warehouse, inbox, config).days
     assert dict(day.why) == {"filtered_clouds: configuration changed": 3}
     write_rig(inbox, expansion_per_k=12e-6)

@@ -400,7 +400,7 @@ def test_a_new_calibration_starts_a_new_chain_of_references(tmp_path: Path, stag
 
 def test_a_failed_scan_drops_what_it_had_downstream(inbox: Path, warehouse: Path, stages: FakeStages) -> None:
     run_night(inbox, warehouse)
-    config = Config.model_validate({"filtering": {"window_rows": 7}})
+    config = Config.model_validate({"filtering": {"window_rows": 9}})
     scan = f"scan-{DAY}-0"
     stages.failing[SCAN_STAGES[1].name, scan] = "empty"
     assert counts(run_night(inbox, warehouse, config)) == (2, 0, 1, 0)
@@ -459,7 +459,7 @@ def test_a_kill_between_write_and_ledger_is_not_seen_and_is_made_good(
     before = rows(
         warehouse, "SELECT unit, output_name, output_version FROM lineage WHERE superseded_at IS NULL ORDER BY ALL"
     )
-    config = Config.model_validate({"filtering": {"window_rows": 7}})
+    config = Config.model_validate({"filtering": {"window_rows": 9}})
 
     class Killed(BaseException):
         pass
@@ -496,7 +496,7 @@ def test_stale_scans_that_were_not_reached_are_pending_not_unchanged(
     inbox: Path, warehouse: Path, stages: FakeStages
 ) -> None:
     run_night(inbox, warehouse)
-    config = Config.model_validate({"filtering": {"window_rows": 7}})
+    config = Config.model_validate({"filtering": {"window_rows": 9}})
     summary = run_night(inbox, warehouse, config, until=datetime.now(UTC) - timedelta(hours=1))
     assert (counts(summary), summary.pending) == ((0, 0, 0, 0), 3)
 
