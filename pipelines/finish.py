@@ -74,7 +74,6 @@ def _record(night: Night, failed: list[dict[str, Any]]) -> None:
             continue
         by_name[scan_id]["recording"] = str(night.root / _path(scan_id))
         written.setdefault(night.state.scans[scan_id].day, []).append(scan_id)
-        night.progress("recording", scan_id, n, len(jobs))
     for day, names in sorted(written.items()):
         ledger = night.ledger.day(day)
         for key, record in ledger.current.items():

@@ -158,7 +158,7 @@ def test_a_kill_while_building_leaves_the_old_catalog(
 def test_superseded_values_with_when_and_by_what(inbox: Path, warehouse: Path, stages: FakeStages) -> None:
     made(inbox, warehouse)
     first = dict(rows(warehouse, "SELECT scan_id, value FROM measurements"))
-    for rows_ in (7, 9):
+    for rows_ in (9, 11):
         made(inbox, warehouse, Config.model_validate({"filtering": {"window_rows": rows_}}))
     history = rows(
         warehouse,
