@@ -27,9 +27,8 @@ def run(
     retry_failed: bool = False,
 ) -> Summary:
     """Process what is new or stale. Dagster is imported, and an instance made, only if there is something to do."""
-    gc.set_threshold(
-        50_000, 20, 100
-    )  # a ledger is a hundred thousand objects without a cycle: a fifth of an idle night
+    # A ledger is a hundred thousand objects without a cycle: looking for some takes a fifth of an idle night.
+    gc.set_threshold(50_000, 20, 100)
     with Night(
         s.warehouse,
         s.inbox,

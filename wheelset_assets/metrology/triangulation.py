@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelset_assets.metrology.grids import nan_median
+from wheelset_assets.metrology.grids import nan_mean, nan_median
 from wheelset_assets.quality import AlgorithmFailed
 
 Array = NDArray[Any]
@@ -203,7 +203,7 @@ def match_stripes(
     """Partner of every left centre on its epipolar line, by interpolation of the right stripe between two rows.
 
     Linear in the frame's own centres, which keeps their noise, less the sagitta of the stripe's bend there: on a flank that
-    is seen at a grazing angle a chord would be off by some 10 um. The bend is that of the whole turn, row by row.
+    is seen at a grazing angle a chord would be off by some um. The bend is that of the whole turn, row by row.
     left_u_px, right_u_px: (frames, rows), NaN where no stripe was seen; rows of the two images may differ in number. No
     partner is made across a missing row or a jump of the stripe of more than max_step_px.
     """
@@ -243,13 +243,10 @@ def _bend(u_px: Array, max_step_px: float) -> Array:
     step = np.diff(some, axis=1)
     with np.errstate(invalid="ignore"):
         step[np.abs(step) > max_step_px] = np.nan
-    bend = np.zeros(u_px.shape[1])
-    bend[1:-1] = np.nan_to_num(nan_median(np.diff(step, axis=1), axis=0))
-    known = bend != 0
-    count = known[:-1].astype(int) + known[1:]
-    bend[:-1] = (bend[:-1] + bend[1:]) / np.maximum(count, 1)
-    bend[-1] = 0.0
-    return 0.5 * bend
+    bend = np.full(u_px.shape[1], np.nan)
+    bend[1:-1] = nan_median(np.diff(step, axis=1), axis=0)
+    of_interval, _ = nan_mean(np.stack([bend[:-1], bend[1:]]), axis=0)
+    return 0.5 * np.append(np.nan_to_num(of_interval), 0.0)
 
 
 def _match_block(
