@@ -42,7 +42,7 @@ def one_scan(
     from wheelset_assets.stages import raw
     from wheelset_assets.stages.capture import run_triangulated_clouds
     from wheelset_assets.stages.cloud import run_filtered_clouds
-    from wheelset_assets.stages.pose import run_features, run_registrations
+    from wheelset_assets.stages.pose import run_features, run_registrations, standing
 
     config = config or Config()
     random = np.random.default_rng([seed, 99])
@@ -81,16 +81,16 @@ def one_scan(
         config=config.triangulation,
     )
     filtered = run_filtered_clouds(**triangulated, config=config.filtering)["filtered_clouds"]
-    features = run_features(filtered_clouds=filtered, rig=rig, scan=header, config=config.features)["features"]
-    made = run_registrations(
-        filtered_clouds=filtered, features=features, rig=rig, scan=header, config=config.registration
-    )
+    common: dict[str, Any] = {"stripe_statistics": triangulated["stripe_statistics"], "rig": rig, "scan": header}
+    features = run_features(filtered_clouds=filtered, **common, config=config.features)["features"]
+    made = run_registrations(filtered_clouds=filtered, features=features, **common, config=config.registration)
     overlap = made["fused_profiles"].to_pylist()
+    before = {name: pose for (name, line), pose in standing(rig, rig_c, common["stripe_statistics"]).poses.items()}
     found = []
     for row in made["registrations"].to_pylist():
         if row["method"] == "single":
             continue
-        found.append({"seed": seed, "row": row} | _errors(row, true, rig_c, filtered, overlap))
+        found.append({"seed": seed, "row": row} | _errors(row, true, rig_c, before, filtered, overlap))
     return found
 
 
@@ -120,18 +120,17 @@ def _points(cloud: pa.Table, sensor: str, line: int, rows: set[int]) -> Array:
 
 
 def _errors(
-    row: dict[str, Any], true: Any, rig_c: float, cloud: pa.Table, overlap: list[dict[str, Any]]
+    row: dict[str, Any],
+    true: Any,
+    rig_c: float,
+    before: dict[str, Array],
+    cloud: pa.Table,
+    overlap: list[dict[str, Any]],
 ) -> dict[str, Any]:
     from benchmarks.truth import pose
 
     source, target = row["source_sensor_id"], row["target_sensor_id"]
-    growth = 1 + true.expansion_per_k * (rig_c - 20)
-    nominal, actual = {}, {}
-    for name in {source, target}:
-        sensor = true.sensor(name)
-        nominal[name] = sensor.rig_from_sensor_nominal.copy()
-        nominal[name][:3, 3] *= growth
-        actual[name] = sensor.rig_from_sensor_at(rig_c, true.expansion_per_k)
+    actual = {name: true.sensor(name).rig_from_sensor_at(rig_c, true.expansion_per_k) for name in (source, target)}
     relative = pose([row[k] for k in ("qw", "qx", "qy", "qz")], [row[k] for k in ("tx_mm", "ty_mm", "tz_mm")])
     seen = {}
     for name, line in ((source, row["source_line"]), (target, row["target_line"])):
@@ -141,8 +140,8 @@ def _errors(
         seen[name, line] = _points(cloud, name, line, rows)
     p_source, p_target = seen[source, row["source_line"]], seen[target, row["target_line"]]
     target_truth, truth = _meridian(actual[target], p_target), _meridian(actual[source], p_source)
-    station = _fit_across(_meridian(nominal[target], p_target), target_truth, _normals(target_truth))
-    placed = _moved(station, _meridian(nominal[target] @ relative, p_source))
+    station = _fit_across(_meridian(before[target], p_target), target_truth, _normals(target_truth))
+    placed = _moved(station, _meridian(before[target] @ relative, p_source))
     about = truth.mean(axis=0)
     turn, shift = _fit_across(truth - about, placed - about, _normals(truth))
     off = np.linalg.inv(actual[target]) @ actual[source]
@@ -150,14 +149,14 @@ def _errors(
         (relative[:3, :3] - off[:3, :3]) @ p_source.mean(axis=0) + relative[:3, 3] - off[:3, 3]
     )
     outward = (actual[source] @ np.append(p_source.mean(axis=0), 1))[1:3]
-    before = _moved(station, _meridian(nominal[source], p_source)) - truth
+    unregistered = _moved(station, _meridian(before[source], p_source)) - truth
     return {
         "lateral_um": 1e3 * float(shift[0]),
         "radial_um": 1e3 * float(shift[1]),
         "meridian_deg": float(np.degrees(turn)),
         "lateral_3d_um": 1e3 * float(apart[0]),
         "radial_3d_um": 1e3 * float(apart[1:] @ outward / np.linalg.norm(outward)),
-        "nominal_off_um": 1e3 * float(np.abs(before).max()),
+        "nominal_off_um": 1e3 * float(np.abs(unregistered).max()),
     }
 
 

@@ -58,7 +58,7 @@ def pair(root: Path, frames: int, rows: int) -> dict[str, Any]:
     ]
     truth_rig = data.truth_rig
     return {
-        "cloud": filtered, "rig": rig, "scan": header, "angle": angle, "names": names, "config": config,
+        "cloud": filtered, "statistics": tables["stripe_statistics"], "rig": rig, "scan": header, "angle": angle, "names": names, "config": config,
         "true": truth.true_poses(truth_rig, data.scan_id), "nominal": truth.nominal_poses(truth_rig),
     }  # fmt: skip
 
@@ -85,7 +85,7 @@ def ours(made: dict[str, Any]) -> tuple[float, float, np.ndarray, int, float]:
     """Seconds of features and of registration, target_from_source, constrained directions, processor seconds of both."""
     from wheelset_assets.stages import FEATURES, REGISTRATION
 
-    common = {"rig": made["rig"], "scan": made["scan"]}
+    common = {"stripe_statistics": made["statistics"], "rig": made["rig"], "scan": made["scan"]}
     started, used = time.perf_counter(), time.process_time()
     features = FEATURES.run(filtered_clouds=made["cloud"], **common, config=made["config"].features)["features"]
     between = time.perf_counter()

@@ -78,6 +78,9 @@ class Flag(IntFlag):
     UNEVEN_TURN = 1 << 20
     """Frames scatter about the turn's harmonics by more than their own noise: out of order, at wrong angles, or a fine shape."""
 
+    FAR_FROM_NOMINAL = 1 << 21
+    """A sensor's laser plane passes the axle farther away than its nominal pose and the rig's make allow."""
+
     def names(self) -> list[str]:
         """Lower-case names of the bits that are set, in the order of the registry."""
         return [flag.name.lower() for flag in type(self) if flag and flag in self and flag.name]

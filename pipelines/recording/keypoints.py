@@ -79,7 +79,7 @@ def _matches(canvas: Canvas, places: Array, names: NDArray) -> None:
             canvas.static(f"keypoints/{row['station']}/matches/{source}", thing)
     if len(lines) > 2:
         text = (
-            f"Lines join keypoints, drawn at their nominal poses, that lie within {TOGETHER_MM:g} mm of each other in the meridian "
+            f"Lines join keypoints, drawn before registration, that lie within {TOGETHER_MM:g} mm of each other in the meridian "
             "once the stored registration has moved them: their length is the correction. Grey: the fused profile."
         )
         canvas.document("keypoints", "\n".join([*lines, "", text]))
@@ -87,7 +87,7 @@ def _matches(canvas: Canvas, places: Array, names: NDArray) -> None:
 
 def _pairs(canvas: Canvas, row: dict, source: Array, target: Array) -> NDArray[np.int64]:
     """Indices (n, 2) of keypoints that are each other's nearest after registration, and near enough."""
-    poses = canvas.source.nominal_poses
+    poses = canvas.source.poses_before
     if not len(source) or not len(target) or not {row["source_sensor_id"], row["target_sensor_id"]} <= set(poses):
         return np.zeros((0, 2), np.int64)
     rotation = rigid.rotation_from_quaternion([row[k] for k in ("qw", "qx", "qy", "qz")])

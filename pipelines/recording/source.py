@@ -25,8 +25,8 @@ from wheelset_assets.metrology.thermal import grown_pose, growth
 from wheelset_assets.quality import ConfigError, ScanUnusable
 from wheelset_assets.stages import CALIBRATION, SCAN_STAGES
 from wheelset_assets.stages.geometry import scan_geometry
-from wheelset_assets.stages.pose import nominal_pose
-from wheelset_assets.tables import ALIGNMENTS
+from wheelset_assets.stages.pose import standing
+from wheelset_assets.tables import ALIGNMENTS, STRIPE_STATISTICS
 
 Array = NDArray[np.float64]
 
@@ -158,21 +158,31 @@ class Source:
     # --- where things are ----------------------------------------------------------------------------------------
 
     @cached_property
-    def nominal_poses(self) -> dict[str, Array]:
-        """Nominal rig_from_sensor (4, 4) at the scan's rig temperature."""
+    def poses_before(self) -> dict[str, Array]:
+        """rig_from_sensor (4, 4) at the scan's rig temperature as stages 4 and 5 begin with it, by the first line."""
         if self.rig is None or self.header is None:
             return {}
-        return {s.sensor_id: nominal_pose(s, self.rig, self.header.temperature_c.rig) for s in self.rig.sensors}
+        found = standing(self.rig, self.header.temperature_c.rig, self._stripe_statistics).poses
+        return {sensor: pose for (sensor, line), pose in found.items() if line == 0}
+
+    @property
+    def _stripe_statistics(self) -> pa.Table:
+        known = self.table("stripe_statistics")
+        return STRIPE_STATISTICS.empty() if known is None else known
 
     @cached_property
     def poses(self) -> dict[str, Array]:
         """rig_from_sensor (4, 4) at the scan's rig temperature: registered and squared as far as that is stored."""
-        poses = dict(self.nominal_poses)
+        poses = dict(self.poses_before)
         registrations = self.table("registrations")
         if registrations is not None and self.rig is not None and self.header is not None:
             alignments = self.table("alignments")
             found = scan_geometry(
-                self.rig, self.header, registrations, ALIGNMENTS.empty() if alignments is None else alignments
+                self.rig,
+                self.header,
+                self._stripe_statistics,
+                registrations,
+                ALIGNMENTS.empty() if alignments is None else alignments,
             )
             g = growth(self.rig.expansion_per_k, self.header.temperature_c.rig)
             for (name, _), pose in sorted(found.poses.items(), reverse=True):  # the first line decides

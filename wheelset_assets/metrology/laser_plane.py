@@ -12,10 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wheelset_assets.metrology.rigid import rotation_from_vector
+
 Array = NDArray[Any]
 
 SAMPLE = 50_000
 ROUNDS = 8
+FORM_MM = 0.01
+"""What distortions left by a calibration may bend a plane by, over its points."""
 
 
 @dataclass(frozen=True)
@@ -100,3 +104,54 @@ def plane_shift(now: LaserPlane, then: LaserPlane) -> tuple[float, float]:
     ]
     angle = float(np.degrees(np.arcsin(min(1.0, float(np.linalg.norm(np.cross(then.normal, normal)))))))
     return abs(float(normal @ then.centre_mm - distance)) + sum(tilts), angle
+
+
+@dataclass(frozen=True)
+class Make:
+    """What a rig's maker promises, as half widths: of a nominal pose, and of how near to the axle a laser plane passes."""
+
+    pose_mm: float
+    pose_rad: float
+    plane_mm: float
+
+
+@dataclass(frozen=True)
+class TurnedToAxle:
+    """Pose (4, 4), and how far from the axle the plane passed before, beside what the make allows for that."""
+
+    rig_from_sensor: Array
+    offset_mm: float
+    limit_mm: float
+
+
+def turned_to_axle(rig_from_sensor: Array, plane: LaserPlane, make: Make) -> TurnedToAxle:
+    """Pose turned about the axle's direction, in its place, so that the laser plane passes near the axle.
+
+    No point tells how far from the axle its plane passes. A nominal pose leaves that open by a centimetre, the make by
+    millimetres; and an error b of it, in a sensor that is turned out of the meridian by psi, tilts the meridian by
+    b psi / R. The turn is the least-squares one between both, at the lateral place of the points; where these hardly
+    spread along their rays, what the plane's fit may lack counts too. No turn takes the plane there: none is made, and
+    the offset is NaN.
+    """
+    pose = np.array(rig_from_sensor, float)
+    normal = pose[:3, :3] @ plane.normal
+    lit = pose[:3, :3] @ plane.centre_mm + pose[:3, 3]
+    to_axle = np.array([lit[0], 0.0, 0.0]) - pose[:3, 3]
+    reach = float(np.hypot(*to_axle[1:]))
+    by_fit = FORM_MM / max(plane.extent_mm[1], FORM_MM) * float(np.hypot(*lit[1:]))
+    by_pose = float(np.hypot(make.pose_rad * reach, make.pose_mm))
+    limit = make.pose_rad * reach + make.pose_mm + make.plane_mm + 3.0 * by_fit
+    # normal . (to_axle, turned by -angle) = distance, in the plane across the axle: |n| |t| cos(between - angle) = rest
+    across = float(np.hypot(*normal[1:])) * reach
+    rest = plane.distance_mm - normal[0] * to_axle[0]
+    if across == 0 or abs(rest) > across:
+        return TurnedToAxle(pose, float("nan"), limit)
+    between = np.arctan2(to_axle[2], to_axle[1]) - np.arctan2(normal[2], normal[1])
+    angles = between + np.array([-1.0, 1.0]) * np.arccos(rest / across)
+    angles = (angles + np.pi) % (2 * np.pi) - np.pi
+    angle = float(angles[np.argmin(np.abs(angles))])
+    share = by_pose**2 / (by_pose**2 + make.plane_mm**2 + by_fit**2)
+    turned = pose.copy()
+    turned[:3, :3] = rotation_from_vector([share * angle, 0.0, 0.0]) @ pose[:3, :3]
+    offset = (rest - normal[1:] @ to_axle[1:]) / float(np.hypot(*normal[1:]))
+    return TurnedToAxle(turned, abs(float(offset)), limit)

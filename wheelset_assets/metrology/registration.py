@@ -238,17 +238,22 @@ class IcpSettings:
     min_pairs: int
     form_floor_mm: float
     constrained_ratio: float
-    strain_u: float = 0.0
-    """Standard uncertainty of the strain of one meridian against the other, in each of its three components."""
+    strain_u: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Standard uncertainties of the strain of one meridian against the other: along the axle, away from it, shear."""
 
 
-def silent_strain(tolerance_rad: float) -> float:
-    """Standard uncertainty of the strain between two meridians whose sensors are each turned by up to tolerance_rad.
+def silent_strain(tolerance_rad: float, plane_mm: float, radius_mm: float) -> tuple[float, float, float]:
+    """Standard uncertainties of the strain between the meridians of two sensors, in its three components.
 
-    A sensor that is turned by theta about a silent direction sees its meridian under that angle: shortened by
-    theta^2 / 2, which no registration of rigid bodies takes away. Rotation vectors that fill a ball, two sensors.
+    A sensor that is turned by psi about the radial direction shortens its meridian by psi^2 / 2 along the axle; one
+    whose sensing plane passes the axle at b shortens it by b^2 / 2 R^2 away from it, and both together shear it by
+    b psi / R. No registration of rigid bodies takes that away. Rotation vectors that fill a ball of tolerance_rad, b
+    anywhere within plane_mm, two sensors, at the distance radius_mm from the axle.
     """
-    return float(np.sqrt(2.0 * (3.0 / 35.0 - 1.0 / 25.0))) / 2.0 * tolerance_rad**2
+    along = float(np.sqrt(2.0 * (3.0 / 35.0 - 1.0 / 25.0))) / 2.0 * tolerance_rad**2
+    away = float(np.sqrt(2.0 * (1.0 / 5.0 - 1.0 / 9.0))) / 2.0 * (plane_mm / radius_mm) ** 2
+    shear = float(np.sqrt(2.0 / (3.0 * 5.0))) * tolerance_rad * plane_mm / radius_mm
+    return along, away, shear
 
 
 def register_meridians(
@@ -355,7 +360,7 @@ def _summarise(
     data += (directions * np.where(constrained, 0.0, gain)) @ directions.T
     covariance = root @ np.linalg.inv(data + np.eye(6)) @ root
     pull = covariance @ (jacobian * pairs.weight[:, None]).T / variance @ _strains(pairs, centre)
-    covariance = covariance + (pull * settings.strain_u**2) @ pull.T
+    covariance = covariance + (pull * np.square(settings.strain_u)) @ pull.T
     offset = _offset_from_nominal(motion, centre)
     tangential = np.cross([1.0, 0, 0], radial_axis)
     axes = (np.r_[tangential, 0, 0, 0], np.r_[0, 0, 0, 1.0, 0, 0], np.r_[0, 0, 0, radial_axis])

@@ -19,7 +19,7 @@ from wheelset_assets.metrology.reading import DatumSettings, Nominal, StationRea
 from wheelset_assets.metrology.revolution import MeridianGrid, meridian_motion
 from wheelset_assets.metrology.thermal import grown_pose, growth
 from wheelset_assets.metrology.wheel_reading import WHEEL_READINGS, read_wheel
-from wheelset_assets.stages.pose import View, nominal_poses, station_grids
+from wheelset_assets.stages.pose import View, standing, station_grids
 from wheelset_assets.stages.raw import Frames
 
 Array = NDArray[Any]
@@ -36,10 +36,12 @@ class Geometry:
     direction_deg: dict[str, float]
 
 
-def scan_geometry(rig: Rig, scan: ScanHeader, registrations: pa.Table, alignments: pa.Table) -> Geometry:
-    """Poses at 20 °C: squaring of the station, times the first sensor's nominal pose, times target_from_source."""
+def scan_geometry(
+    rig: Rig, scan: ScanHeader, stripe_statistics: pa.Table, registrations: pa.Table, alignments: pa.Table
+) -> Geometry:
+    """Poses at 20 °C: squaring of the station, times the first sensor's pose before it, times target_from_source."""
     g = growth(rig.expansion_per_k, scan.temperature_c.rig)
-    nominal = nominal_poses(rig, scan.temperature_c.rig)
+    before = standing(rig, scan.temperature_c.rig, stripe_statistics).poses
     squaring = {row["station"]: row for row in alignments.to_pylist()}
     poses: dict[View, Array] = {}
     u_squaring: dict[str, float] = {}
@@ -47,7 +49,7 @@ def scan_geometry(rig: Rig, scan: ScanHeader, registrations: pa.Table, alignment
     direction: dict[str, float] = {}
     for row in registrations.to_pylist():
         at = (row["target_sensor_id"], row["target_line"])
-        target = poses[at] = nominal[at]
+        target = poses[at] = before[at]
         if row["method"] != "nominal":  # a sensor that is known to 2 mm only must not enter any value
             poses[row["source_sensor_id"], row["source_line"]] = target @ pose_of(row)
         direction[row["station"]] = row["direction_deg"]

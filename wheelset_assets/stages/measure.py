@@ -53,20 +53,23 @@ def run_measurements(
     compared with it, and a difference beyond their uncertainty is flagged. A reference scan's readings, from which
     others are zeroed, are taken in its own geometry.
     """
-    own = scan_geometry(rig, scan, registrations, alignments)
+    own = scan_geometry(rig, scan, stripe_statistics, registrations, alignments)
     own_readings: dict[str, StationReading] | None = None
     bases: dict[tuple[str, str], float] = {}
     if scan.purpose == "reference":
         own_readings, bases = zero_readings(filtered_clouds, rig, scan, frames, own, config)
     if (
         reference.scan is None
+        or reference_stripe_statistics is None
         or reference_registrations is None
         or reference_alignments is None
         or reference_readings is None
     ):
         compared, values = own_readings or {}, no_values(rig, reference.reason or "no earlier reference")
     else:
-        zero = scan_geometry(rig, reference.scan, reference_registrations, reference_alignments)
+        zero = scan_geometry(
+            rig, reference.scan, reference_stripe_statistics, reference_registrations, reference_alignments
+        )
         stored = {
             (r["quantity"].split("_")[0], r["side"]): r["reading"]
             for r in reference_readings.to_pylist()

@@ -16,6 +16,7 @@ from wheelset_assets.bundle import Rig, ScanHeader, Sensor, Station
 from wheelset_assets.config import FeatureConfig, RegistrationConfig
 from wheelset_assets.metrology import features, registration, rigid
 from wheelset_assets.metrology.frequency import align_overlap
+from wheelset_assets.metrology.laser_plane import Make, turned_to_axle
 from wheelset_assets.metrology.revolution import (
     MeanMeridian,
     MeridianGrid,
@@ -27,8 +28,12 @@ from wheelset_assets.metrology.revolution import (
 from wheelset_assets.metrology.thermal import grown_pose, growth
 from wheelset_assets.quality import AlgorithmFailed, Flag
 from wheelset_assets.stages.cloud import grids
+from wheelset_assets.stages.drift import plane_of
 
 Array = NDArray[Any]
+
+MAKE = Make(2.0, float(np.radians(1.0)), 3.0)
+"""What the scan-bundle format promises: poses within 2 mm and 1 degree, sensing planes a few millimetres from the axle."""
 
 
 def nominal_pose(sensor: Sensor, rig: Rig, rig_temperature_c: float) -> Array:
@@ -61,15 +66,37 @@ def nominal_poses(rig: Rig, rig_temperature_c: float) -> dict[View, Array]:
     }
 
 
+@dataclass(frozen=True)
+class Standing:
+    """rig_from_sensor (4, 4) of every view before any registration, and the views that cannot stand as the rig says."""
+
+    poses: dict[View, Array]
+    far: frozenset[View]
+
+
+def standing(rig: Rig, rig_temperature_c: float, stripe_statistics: pa.Table) -> Standing:
+    """Nominal poses, each turned so that its laser plane passes the axle as near as a rig's does (`turned_to_axle`)."""
+    poses, far = nominal_poses(rig, rig_temperature_c), set()
+    for row in stripe_statistics.to_pylist():
+        view, plane = (row["sensor_id"], row["line"]), plane_of(row)
+        if view in poses and plane is not None:
+            turned = turned_to_axle(poses[view], plane, MAKE)
+            poses[view] = turned.rig_from_sensor
+            if not abs(turned.offset_mm) <= turned.limit_mm:
+                far.add(view)
+    return Standing(poses, frozenset(far))
+
+
 def _frame_count(cloud: pa.Table) -> int:
     return int(cloud["frame"].to_numpy().max()) + 1
 
 
 def run_features(
-    *, filtered_clouds: pa.Table, rig: Rig, scan: ScanHeader, config: FeatureConfig
+    *, filtered_clouds: pa.Table, stripe_statistics: pa.Table, rig: Rig, scan: ScanHeader, config: FeatureConfig
 ) -> Mapping[str, pa.Table]:
     """Stage 4: keypoints and descriptors of each sensor's turn, folded into a patch of a few columns."""
-    poses = {view: pose for view, pose in nominal_poses(rig, scan.temperature_c.rig).items() if view[1] == 0}
+    before = standing(rig, scan.temperature_c.rig, stripe_statistics).poses
+    poses = {view: pose for view, pose in before.items() if view[1] == 0}
     parts = []
     for (name, line), grid in station_grids(filtered_clouds, poses, _frame_count(filtered_clouds)).items():
         points = _folded_patch(grid, config)
@@ -146,19 +173,23 @@ def _resampled(lateral: Array, radial: Array, spacing_mm: float) -> tuple[Array,
 
 @dataclass(frozen=True)
 class StationScan:
-    """A station's views that delivered points, in order of preference, with their nominal poses and grids."""
+    """A station's views that delivered points, in order of preference, with their poses so far and grids."""
 
     station: Station
-    missing: list[str]
     views: list[View]
     poses: dict[View, Array]
     grids: dict[View, MeridianGrid]
     means: dict[View, MeanMeridian]
     curves: dict[View, Array]
+    flags: dict[View, Flag]
+    """What every registration of a view is flagged with."""
 
 
-def station_scans(filtered_clouds: pa.Table, rig: Rig, scan: ScanHeader) -> list[StationScan]:
-    poses = nominal_poses(rig, scan.temperature_c.rig)
+def station_scans(
+    filtered_clouds: pa.Table, stripe_statistics: pa.Table, rig: Rig, scan: ScanHeader
+) -> list[StationScan]:
+    before = standing(rig, scan.temperature_c.rig, stripe_statistics)
+    poses = before.poses
     found = station_grids(filtered_clouds, poses, _frame_count(filtered_clouds))
     seen_sensors = {sensor for sensor, _ in found}
     result = []
@@ -166,14 +197,15 @@ def station_scans(filtered_clouds: pa.Table, rig: Rig, scan: ScanHeader) -> list
         wanted = rig.station_sensors(station.station)
         views = [(s.sensor_id, line) for s in wanted for line in range(s.laser_lines) if (s.sensor_id, line) in found]
         if views:
-            missing = [s.sensor_id for s in wanted if s.sensor_id not in seen_sensors]
             means = {
                 v: mean_meridian(found[v].lateral_mm, found[v].radial_mm, np.ones(len(found[v].lateral_mm), bool))
                 for v in views
             }
             curves = {v: _curve(mean) for v, mean in means.items()}
+            absent = Flag.NONE if {s.sensor_id for s in wanted} <= seen_sensors else Flag.SENSOR_MISSING
+            flags = {v: absent | (Flag.FAR_FROM_NOMINAL if v in before.far else Flag.NONE) for v in views}
             known = {v: poses[v] for v in views}, {v: found[v] for v in views}
-            result.append(StationScan(station, missing, views, *known, means, curves))
+            result.append(StationScan(station, views, *known, means, curves, flags))
     return result
 
 
@@ -183,14 +215,21 @@ Register = Callable[[StationScan, View, View, Keypoints, RegistrationConfig], tu
 
 
 def run_registrations(
-    *, filtered_clouds: pa.Table, features: pa.Table, rig: Rig, scan: ScanHeader, config: RegistrationConfig
+    *,
+    filtered_clouds: pa.Table,
+    stripe_statistics: pa.Table,
+    features: pa.Table,
+    rig: Rig,
+    scan: ScanHeader,
+    config: RegistrationConfig,
 ) -> Mapping[str, pa.Table]:
     """Stage 5: every view of a station against its first, then the fused mean meridian."""
-    return registered(filtered_clouds, features, rig, scan, config, register_by_icp)
+    return registered(filtered_clouds, stripe_statistics, features, rig, scan, config, register_by_icp)
 
 
 def registered(
     filtered_clouds: pa.Table,
+    stripe_statistics: pa.Table,
     features: pa.Table,
     rig: Rig,
     scan: ScanHeader,
@@ -203,7 +242,7 @@ def registered(
         name: features.filter(pa.compute.equal(features["sensor_id"], name))
         for name in sorted(set(features["sensor_id"].to_pylist()))
     }
-    for station in station_scans(filtered_clouds, rig, scan):
+    for station in station_scans(filtered_clouds, stripe_statistics, rig, scan):
         target = station.views[0]
         motions: dict[View, Array | None] = {target: np.eye(4)}
         if len(station.views) == 1:
@@ -237,9 +276,9 @@ def register_by_icp(
     station: StationScan, source: View, target: View, keypoints: Keypoints, config: RegistrationConfig
 ) -> tuple[Array | None, dict[str, Any]]:
     curves = {view: station.curves[view] for view in (source, target)}
+    flags = station.flags[source] | station.flags[target]
     if min(map(len, curves.values())) < config.min_pairs:  # too few frames for a mean meridian, or hardly a row
-        missing = Flag.SENSOR_MISSING if station.missing else Flag.NONE
-        return None, _nominal_row(station, source, target, missing | Flag.NO_REGISTRATION)
+        return None, _nominal_row(station, source, target, flags | Flag.NO_REGISTRATION)
     direction = station.grids[source].direction_deg
     tolerance_mm, tolerance_rad = (
         config.nominal_translation_mm * np.sqrt(2),
@@ -249,7 +288,7 @@ def register_by_icp(
     coarse = None
     if source[1] == target[1] == 0:  # features are of line 0
         coarse = coarse_pose(keypoints.get(source[0]), keypoints.get(target[0]), pivot, config)
-    start, flags = np.eye(4), Flag.NONE
+    start = np.eye(4)
     if coarse is None:
         flags |= Flag.COARSE_FROM_NOMINAL
     else:
@@ -265,13 +304,11 @@ def register_by_icp(
         config.min_pairs,
         config.form_floor_um * 1e-3,
         config.constrained_ratio,
-        registration.silent_strain(np.radians(config.nominal_rotation_deg)),
+        registration.silent_strain(np.radians(config.nominal_rotation_deg), config.plane_offset_mm, pivot[1]),
     )
     found, started_coarse = _best_start(curves[source], curves[target], direction, start, settings)
     if not started_coarse:
         flags |= Flag.COARSE_FROM_NOMINAL
-    if station.missing:
-        flags |= Flag.SENSOR_MISSING
     if found is None:
         return None, _nominal_row(station, source, target, flags | Flag.NO_REGISTRATION)
     if found.n_constrained < 3:
@@ -392,8 +429,8 @@ def _nominal_row(station: StationScan, source: View, target: View, flags: Flag) 
 
 
 def _single_row(station: StationScan) -> dict[str, Any]:
-    flags = Flag.SENSOR_MISSING if station.missing else Flag.NONE
-    return pose_row(station, station.views[0], station.views[0], np.eye(4), flags) | {"method": "single"}
+    view = station.views[0]
+    return pose_row(station, view, view, np.eye(4), station.flags[view]) | {"method": "single"}
 
 
 def _fused_profile(station: StationScan, motions: dict[View, Array | None]) -> pa.Table:

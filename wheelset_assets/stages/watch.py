@@ -40,7 +40,7 @@ def station_flags(
     growths = [1.0 / growth(rig.expansion_per_k, header.temperature_c.rig) for header in (scan, reference)]
     flags: dict[str, Flag] = defaultdict(lambda: Flag.NONE)
     for row in registrations.to_pylist():
-        for flag in (Flag.SENSOR_MISSING, Flag.NO_REGISTRATION):
+        for flag in (Flag.SENSOR_MISSING, Flag.NO_REGISTRATION, Flag.FAR_FROM_NOMINAL):
             flags[row["station"]] |= flag if flag.names()[0] in row["quality_flags"] else Flag.NONE
         old = before.get((row["station"], row["source_sensor_id"], row["source_line"]))
         if (

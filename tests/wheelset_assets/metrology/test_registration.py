@@ -252,7 +252,7 @@ def test_meridian_motions_two_sided(correlation):
 
 def test_a_strain_that_is_not_known_counts():
     """Sixty pairs of views of little noise, one of each pair strained: its uncertainty is most of the claim, two-sided."""
-    settings, pulls = replace(SETTINGS, strain_u=1e-4), []
+    settings, pulls = replace(SETTINGS, strain_u=(1e-4, 1e-4, 1e-4)), []
     for seed in range(60):
         source, target, motion, psi = two_views(np.random.default_rng(seed), sigma=0.0005, strain=1e-4)
         found, rigid_only = (reg.register_meridians(source, target, psi, np.eye(4), s) for s in (settings, SETTINGS))
@@ -266,14 +266,28 @@ def test_a_strain_that_is_not_known_counts():
 
 
 def test_the_silent_strain_is_that_of_turned_sensors():
-    """Two sensors, each turned by a rotation vector in a ball of one degree: the difference of their cosines."""
+    """Two sensors, each turned by a rotation vector in a ball of one degree, its plane within 3 mm of the axle.
+
+    The meridian of a planar section at the distance b, turned by psi: lateral xi cos psi, radius hypot(h, b + xi sin psi);
+    its derivatives in the middle of what is seen, against the section's own lengths.
+    """
     random = np.random.default_rng(6)
     vectors = random.standard_normal((2, 200_000, 3))
     vectors *= (
         np.radians(1.0) * random.random((2, 200_000, 1)) ** (1 / 3) / np.linalg.norm(vectors, axis=2, keepdims=True)
     )
-    shortened = 1 - np.cos(vectors[..., 0])
-    assert np.std(shortened[0] - shortened[1]) == pytest.approx(reg.silent_strain(np.radians(1.0)), rel=0.01)
+    psi, b, height = vectors[..., 0], random.uniform(-3.0, 3.0, (2, 200_000)), 460.0
+
+    def section(xi, h):
+        return xi * np.cos(psi), np.hypot(h, b + xi * np.sin(psi))
+
+    step = 0.5
+    along = (section(step, height)[0] - section(-step, height)[0]) / (2 * step)
+    away = (section(0, height + step)[1] - section(0, height - step)[1]) / (2 * step)
+    shear = (section(step, height)[1] - section(-step, height)[1]) / (2 * step)
+    found = reg.silent_strain(np.radians(1.0), 3.0, height)
+    for component, u in zip((along, away, shear), found, strict=True):
+        assert np.std(component[0] - component[1]) == pytest.approx(u, rel=0.02)
 
 
 def test_the_three_silent_directions_stay_where_the_nominal_pose_holds_them():

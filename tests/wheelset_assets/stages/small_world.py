@@ -170,15 +170,15 @@ class World:
         made = stages.FILTERING.run(**vars(triangulated), config=CONFIG.filtering.model_copy(update=knobs))
         return audited(stages.FILTERING, made)
 
-    def pose(self, scan: Scan, cloud: pa.Table, rig=None) -> SimpleNamespace:
-        """Stages 4 to 6."""
-        common = {"rig": rig or self.rig, "scan": scan.header}
-        found = audited(stages.FEATURES, stages.FEATURES.run(filtered_clouds=cloud, config=CONFIG.features, **common))
+    def pose(self, scan: Scan, cloud: pa.Table, statistics: pa.Table | None = None) -> SimpleNamespace:
+        """Stages 4 to 6; the scan's own statistics unless others are given."""
+        common = {"rig": self.rig, "scan": scan.header}
+        known = scan.tables.stripe_statistics if statistics is None else statistics
+        seen = {"filtered_clouds": cloud, "stripe_statistics": known}
+        found = audited(stages.FEATURES, stages.FEATURES.run(**seen, config=CONFIG.features, **common))
         registered = audited(
             stages.REGISTRATION,
-            stages.REGISTRATION.run(
-                filtered_clouds=cloud, features=found.features, config=CONFIG.registration, **common
-            ),
+            stages.REGISTRATION.run(**seen, features=found.features, config=CONFIG.registration, **common),
         )
         aligned = audited(stages.ALIGNMENT, stages.ALIGNMENT.run(**vars(registered), config=CONFIG.alignment, **common))
         return SimpleNamespace(**vars(found), **vars(registered), **vars(aligned))
@@ -203,7 +203,7 @@ class World:
         """Stages 2 to 7 of a scan."""
         triangulated = self.triangulate(scan, stripes=stripes)
         filtered = self.filter(triangulated)
-        posed = self.pose(scan, filtered.filtered_clouds)
+        posed = self.pose(scan, filtered.filtered_clouds, triangulated.stripe_statistics)
         tables = SimpleNamespace(**vars(triangulated), **vars(filtered), **vars(posed))
         why = None if reference else "no reference"
         return SimpleNamespace(**vars(tables), **vars(self.measure(scan, tables, reference, why=why)))

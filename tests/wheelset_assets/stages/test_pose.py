@@ -21,8 +21,9 @@ def exact(world):
     filtered = world.filter(triangulated)
     scan.tables = SimpleNamespace(
         stripes=scan.tables.stripes,
+        stripe_statistics=triangulated.stripe_statistics,
         filtered_clouds=filtered.filtered_clouds,
-        **vars(world.pose(scan, filtered.filtered_clouds)),
+        **vars(world.pose(scan, filtered.filtered_clouds, triangulated.stripe_statistics)),
     )
     return scan
 
