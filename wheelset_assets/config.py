@@ -148,7 +148,6 @@ class RegistrationConfig(Section):
         2.0, gt=0, description="Tolerance of a sensor's nominal place (scan-bundle format)"
     )
     nominal_rotation_deg: float = Field(1.0, gt=0, description="Tolerance of a sensor's nominal orientation")
-    plane_offset_mm: float = Field(3.0, gt=0, description="Farthest that a sensing plane passes from the axle")
     match_radius_mm: float = Field(
         8.0, gt=0, description="Keypoints farther apart than this at the nominal poses are not matched"
     )
@@ -219,9 +218,6 @@ class MeasurementConfig(Section):
     )
     nominal_rotation_deg: float = Field(
         1.0, gt=0, description="Tolerance of a sensor's nominal orientation, for the budget"
-    )
-    plane_offset_mm: float = Field(
-        3.0, gt=0, description="Farthest that a sensing plane passes from the axle, for the budget"
     )
     datum_mm: float = Field(70.0, gt=0, description="L2: datum circle from the inner face")
     flank_height_mm: float = Field(

@@ -63,7 +63,6 @@ class Tolerances:
     wheelset_per_k: float
     rig_per_k: float
     axis_mm: float
-    pose_mm: float
     pose_rad: float
 
 
@@ -73,7 +72,7 @@ class Difference:
 
     displacement_mm: along the measured direction; cross_mm: across it, in the meridian plane. scale: relative standard
     uncertainty of displacements along, and across. lever_mm: change of the reading for a unit strain of the rig.
-    tangent_rad: angle between the sensing plane's direction and the measured one; radius_mm: distance from the axle.
+    tangent_rad: angle between the sensing plane and the measured direction, with its standard uncertainty.
     """
 
     displacement_mm: float
@@ -82,8 +81,24 @@ class Difference:
     cross_scale: float
     lever_mm: float
     tangent_rad: float
-    radius_mm: float
+    tangent_u_rad: float
     tilt_u_rad: float
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How well a station's geometry is known, as standard uncertainties, and how a value follows it (mm).
+
+    registration_mm: of the value by the registration of its sensors. tilt_u_rad: of the squaring; plane_tilt_u_rad: of
+    the meridian by the sensing plane's distance from the axle; strain_u: along the axle, by the sensing plane's angle.
+    """
+
+    registration_mm: float
+    tilt_u_rad: float
+    plane_tilt_u_rad: float
+    tilt_mm: float
+    strain_u: float
+    stretch_mm: float
 
 
 @dataclass(frozen=True)
@@ -136,40 +151,41 @@ def compare(
     sources.append(Source("calibration: scale along the reading", scale, "mm", factor))
     cross = float(np.sqrt(sum((np.hypot(p.tilt_u_rad, p.cross_scale) * p.cross_mm) ** 2 for p in parts)))
     sources.append(Source("calibration and squareness across the reading", cross, "mm", factor))
-    pose = float(np.sqrt(sum((p.displacement_mm * _cosine_uncertainty(p, t)) ** 2 for p in parts)))
+    pose = float(
+        np.sqrt(sum((p.displacement_mm * cosine_uncertainty(p.tangent_rad, p.tangent_u_rad)) ** 2 for p in parts))
+    )
     sources.append(Source("sensor pose in unconstrained directions", pose, "mm", factor))
     return Value(value, uncompensated, sources)
 
 
-def _cosine_uncertainty(part: Difference, t: Tolerances) -> float:
-    """Standard uncertainty of the cosine between the sensing direction and the measured one.
+def cosine_uncertainty(angle_rad: float, u_rad: float) -> float:
+    """Standard uncertainty of the cosine of an angle that is known to u_rad.
 
-    The data are silent on a sensor's slide along the turn and on its turn about the axle: both tilt the sensing
-    direction by an angle that is known to the nominal pose's tolerance only.
+    The data are silent on a sensor's slide along the turn and on its turns about the axle and the radial direction: they
+    tilt the sensing plane against the measured direction, and that is known from the rig's make only.
     """
-    u_angle = float(np.hypot(t.pose_rad, t.pose_mm / part.radius_mm))
-    return abs(part.tangent_rad) * u_angle + 0.5 * u_angle**2
+    return abs(angle_rad) * u_rad + 0.5 * u_rad**2
 
 
 def absolute(
     reading_mm: float,
     u_noise: float,
-    u_registration: float,
     conditions: Conditions,
     tolerances: Tolerances,
     extent: tuple[float, float],
     scales: tuple[float, float],
-    tilt_u_rad: float,
+    standing: Standing,
 ) -> Value:
     """Value of a quantity that needs no zero: it lies within one station. extent: its size (along, across) in mm."""
     value = reading_mm / conditions.growth
     scale = float(np.hypot(scales[0] * extent[0], scales[1] * extent[1]))
     sources = [
         Source("noise of the scan", u_noise, "mm", 1.0),
-        Source("registration of the sensors", u_registration, "mm", 1.0),
+        Source("registration of the sensors", standing.registration_mm, "mm", 1.0),
         Source("calibration: scale", scale, "mm", 1.0),
-        Source("squareness to the axle", tilt_u_rad, "rad", extent[0] + extent[1]),
-        Source("sensor pose in unconstrained directions", 0.5 * tolerances.pose_rad**2, "1", abs(reading_mm)),
+        Source("squareness to the axle", standing.tilt_u_rad, "rad", standing.tilt_mm),
+        Source("sensing plane beside the axle", standing.plane_tilt_u_rad, "rad", standing.tilt_mm),
+        Source("sensor pose in unconstrained directions", standing.strain_u, "1", standing.stretch_mm),
         Source("wheelset temperature", tolerances.wheelset_c, "K", value * conditions.wheelset_per_k),
         Source("expansion of the wheelset", tolerances.wheelset_per_k, "1/K", value * (conditions.wheelset_c - 20.0)),
     ]

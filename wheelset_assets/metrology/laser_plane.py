@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelset_assets.metrology.rigid import rotation_from_vector
+from wheelset_assets.metrology import rigid
 
 Array = NDArray[Any]
 
 SAMPLE = 50_000
 ROUNDS = 8
+BALL = 5.0
+"""Square of the half width over the variance of one component of a vector that fills a ball."""
 FORM_MM = 0.01
 """What distortions left by a calibration may bend a plane by, over its points."""
 
@@ -108,50 +110,88 @@ def plane_shift(now: LaserPlane, then: LaserPlane) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Make:
-    """What a rig's maker promises, as half widths: of a nominal pose, and of how near to the axle a laser plane passes."""
+    """What a rig's maker promises, as half widths: of a nominal pose, and of how a laser plane lies to the axle, in its
+    distance from it beside what it lights and in its angle with it."""
 
     pose_mm: float
     pose_rad: float
     plane_mm: float
+    plane_rad: float
 
 
 @dataclass(frozen=True)
-class TurnedToAxle:
-    """Pose (4, 4), and how far from the axle the plane passed before, beside what the make allows for that."""
+class Sensing:
+    """How a laser plane lies to the axle, best estimate and standard uncertainty: distance from it, and angle with it;
+    and how far from the axle its points lie."""
 
-    rig_from_sensor: Array
+    radius_mm: float
     offset_mm: float
-    limit_mm: float
+    yaw_rad: float
+    u_offset_mm: float
+    u_yaw_rad: float
+
+    @property
+    def u_cosine(self) -> float:
+        """Standard uncertainty of the cosine of the angle: of lengths along the axle."""
+        return float(np.hypot(self.yaw_rad * self.u_yaw_rad, self.u_yaw_rad**2 / np.sqrt(2.0)))
+
+    @property
+    def u_shear(self) -> float:
+        """Standard uncertainty of the meridian's tilt by both together: offset times angle over radius."""
+        both = (self.offset_mm * self.u_yaw_rad, self.u_offset_mm * self.yaw_rad, self.u_offset_mm * self.u_yaw_rad)
+        return float(np.linalg.norm(both)) / self.radius_mm
 
 
-def turned_to_axle(rig_from_sensor: Array, plane: LaserPlane, make: Make) -> TurnedToAxle:
-    """Pose turned about the axle's direction, in its place, so that the laser plane passes near the axle.
+def turned_to_axle(rig_from_sensor: Array, plane: LaserPlane, make: Make) -> tuple[Array, Sensing, bool]:
+    """Pose (4, 4) turned so that its laser plane lies to the axle as the rig's make says, and how it lies then.
 
-    No point tells how far from the axle its plane passes. A nominal pose leaves that open by a centimetre, the make by
-    millimetres; and an error b of it, in a sensor that is turned out of the meridian by psi, tilts the meridian by
-    b psi / R. The turn is the least-squares one between both, at the lateral place of the points; where these hardly
-    spread along their rays, what the plane's fit may lack counts too. No turn takes the plane there: none is made, and
-    the offset is NaN.
+    No point tells how its plane lies to the axle. A nominal pose leaves the distance open by a centimetre, the make by
+    millimetres; and b of it, in a plane at an angle psi with the axle, tilts the meridian by b psi / R, while psi alone
+    shortens it by psi^2 / 2. Least squares between pose and make: a turn about the axle's direction, in the sensor's
+    place, and one about the radial direction through what is lit. Where the points hardly spread along their rays,
+    what the plane's fit may lack counts too. True: the plane lies farther off than pose and make together allow, or
+    where no turn takes it (then none is made).
     """
     pose = np.array(rig_from_sensor, float)
+    reach = float(np.hypot(*pose[1:3, 3]))
+    u_pose = float(np.hypot(make.pose_rad * reach, make.pose_mm)) / np.sqrt(BALL)
+    lit = rigid.apply(pose, plane.centre_mm)
     normal = pose[:3, :3] @ plane.normal
-    lit = pose[:3, :3] @ plane.centre_mm + pose[:3, 3]
     to_axle = np.array([lit[0], 0.0, 0.0]) - pose[:3, 3]
-    reach = float(np.hypot(*to_axle[1:]))
-    by_fit = FORM_MM / max(plane.extent_mm[1], FORM_MM) * float(np.hypot(*lit[1:]))
-    by_pose = float(np.hypot(make.pose_rad * reach, make.pose_mm))
-    limit = make.pose_rad * reach + make.pose_mm + make.plane_mm + 3.0 * by_fit
     # normal . (to_axle, turned by -angle) = distance, in the plane across the axle: |n| |t| cos(between - angle) = rest
-    across = float(np.hypot(*normal[1:])) * reach
+    steep = float(np.hypot(*normal[1:]))
     rest = plane.distance_mm - normal[0] * to_axle[0]
-    if across == 0 or abs(rest) > across:
-        return TurnedToAxle(pose, float("nan"), limit)
+    if steep * reach == 0 or abs(rest) > steep * reach:
+        return (
+            pose,
+            Sensing(max(float(np.hypot(*lit[1:])), FORM_MM), u_pose, make.pose_rad, u_pose, make.pose_rad),
+            True,
+        )
     between = np.arctan2(to_axle[2], to_axle[1]) - np.arctan2(normal[2], normal[1])
-    angles = between + np.array([-1.0, 1.0]) * np.arccos(rest / across)
+    angles = between + np.array([-1.0, 1.0]) * np.arccos(rest / (steep * reach))
     angles = (angles + np.pi) % (2 * np.pi) - np.pi
     angle = float(angles[np.argmin(np.abs(angles))])
-    share = by_pose**2 / (by_pose**2 + make.plane_mm**2 + by_fit**2)
-    turned = pose.copy()
-    turned[:3, :3] = rotation_from_vector([share * angle, 0.0, 0.0]) @ pose[:3, :3]
-    offset = (rest - normal[1:] @ to_axle[1:]) / float(np.hypot(*normal[1:]))
-    return TurnedToAxle(turned, abs(float(offset)), limit)
+    offset = abs(float(rest - normal[1:] @ to_axle[1:])) / steep
+    u_fit = FORM_MM / np.maximum(plane.extent_mm, FORM_MM)
+    beside, u_offset = _between(offset, u_pose, np.hypot(make.plane_mm / np.sqrt(3), u_fit[1] * np.hypot(*lit[1:])))
+    pose[:3, :3] = rigid.rotation_from_vector([(1 - beside / max(offset, 1e-12)) * angle, 0.0, 0.0]) @ pose[:3, :3]
+
+    lit = rigid.apply(pose, plane.centre_mm)
+    radial = np.array([0.0, *lit[1:]]) / np.hypot(*lit[1:])
+    around = np.cross([1.0, 0.0, 0.0], radial)
+    normal = pose[:3, :3] @ plane.normal
+    yaw = float(np.arctan(normal[0] / (normal @ around)))
+    kept, u_yaw = _between(yaw, make.pose_rad / np.sqrt(BALL), float(np.hypot(make.plane_rad / np.sqrt(3), u_fit[0])))
+    turn = rigid.rotation_from_vector((kept - yaw) * radial)
+    seen = Sensing(float(np.hypot(*lit[1:])), beside, abs(kept), u_offset, u_yaw)
+    far = (
+        offset > make.pose_rad * reach + make.pose_mm + make.plane_mm + 3 * u_fit[1] * np.hypot(*lit[1:])
+        or abs(yaw) > make.pose_rad + make.plane_rad + 3 * u_fit[0]
+    )
+    return rigid.transform(turn, lit - turn @ lit) @ pose, seen, bool(far)
+
+
+def _between(seen: float, u_pose: float, u_make: float) -> tuple[float, float]:
+    """A quantity that is zero by the make and `seen` by the pose: its best estimate, and standard uncertainty."""
+    share = u_make**2 / (u_pose**2 + u_make**2)
+    return share * seen, u_pose * float(np.sqrt(share))

@@ -72,6 +72,19 @@ class Nominal:
 
 
 @dataclass(frozen=True)
+class Lever:
+    """Derivatives of a value, in mm, by what its station's geometry may be wrong in."""
+
+    views: dict[tuple[str, int], tuple[float, float, float]]
+    """By a lateral and a radial step (1) and a turn in the meridian plane (mm / rad) of each sensor and line against the
+    first; what is not named is the first, or has no part."""
+    tilt_mm: float
+    """By a turn of the whole station in the meridian plane, from lateral towards radial, per rad."""
+    stretch_mm: float
+    """By a strain of the whole station along the axle."""
+
+
+@dataclass(frozen=True)
 class Reading:
     """One indication: NaN with a reason if it is not supported."""
 
@@ -84,6 +97,7 @@ class Reading:
     excluded_ratio: float = 0.0
     reason: str | None = None
     flags: Flag = Flag.NONE
+    lever: Lever | None = None
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology import rigid
+from wheelset_assets.metrology.laser_plane import Sensing
 from wheelset_assets.quality import AlgorithmFailed
 
 Array = NDArray[Any]
@@ -242,18 +243,19 @@ class IcpSettings:
     """Standard uncertainties of the strain of one meridian against the other: along the axle, away from it, shear."""
 
 
-def silent_strain(tolerance_rad: float, plane_mm: float, radius_mm: float) -> tuple[float, float, float]:
+def silent_strain(source: Sensing, target: Sensing) -> tuple[float, float, float]:
     """Standard uncertainties of the strain between the meridians of two sensors, in its three components.
 
-    A sensor that is turned by psi about the radial direction shortens its meridian by psi^2 / 2 along the axle; one
-    whose sensing plane passes the axle at b shortens it by b^2 / 2 R^2 away from it, and both together shear it by
-    b psi / R. No registration of rigid bodies takes that away. Rotation vectors that fill a ball of tolerance_rad, b
-    anywhere within plane_mm, two sensors, at the distance radius_mm from the axle.
+    A sensing plane at the angle psi with the axle shortens its meridian by psi^2 / 2 along the axle; one that passes
+    the axle at b shortens it by b^2 / 2 R^2 away from it, and both together shear it by b psi / R. No registration of
+    rigid bodies takes that away.
     """
-    along = float(np.sqrt(2.0 * (3.0 / 35.0 - 1.0 / 25.0))) / 2.0 * tolerance_rad**2
-    away = float(np.sqrt(2.0 * (1.0 / 5.0 - 1.0 / 9.0))) / 2.0 * (plane_mm / radius_mm) ** 2
-    shear = float(np.sqrt(2.0 / (3.0 * 5.0))) * tolerance_rad * plane_mm / radius_mm
-    return along, away, shear
+    parts = [
+        (s.u_cosine, s.u_offset_mm * np.hypot(s.offset_mm, s.u_offset_mm / np.sqrt(2.0)) / s.radius_mm**2, s.u_shear)
+        for s in (source, target)
+    ]
+    along, away, shear = np.linalg.norm(parts, axis=0)
+    return float(along), float(away), float(shear)
 
 
 def register_meridians(

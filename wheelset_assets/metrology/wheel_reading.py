@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wheelset_assets.metrology.datum import Line, find_face
 from wheelset_assets.metrology.frame_series import FrameSeries, frame_series, sensors_missed
+from wheelset_assets.metrology.levers import levers
 from wheelset_assets.metrology.profile import (
     ProfileValues,
     flange_top,
@@ -212,17 +213,27 @@ class _Wheel:
             [(mean_at(a, m.weight, rows) - f) * self.outward for (a, _), f in zip(groups, faces, strict=True)]
         )
         u_width = jackknife(widths)
-        beyond = np.full(len(self.s), -np.inf)
-        for k in range(len(m.grids)):  # three rows together stand clear of one row's noise
-            own = np.flatnonzero(m.owner == k)
-            if len(own) >= 3:
-                beyond[own[1:-1]] = np.lib.stride_tricks.sliding_window_view(self.s[own], 3).mean(axis=1) - width
         above = m.radial >= line.low_mm
-        most = float(beyond[above].max(initial=-np.inf))
+
+        def values(a: Array, r: Array) -> Array:
+            """Rim width, and how far the rim stands beyond its outer face."""
+            s = (a - mean_at(a, m.weight, self.face_rows)) * self.outward
+            to_face = mean_at(s, m.weight, rows)
+            most = -np.inf
+            for k in range(len(m.grids)):  # three rows together stand clear of one row's noise
+                own = np.flatnonzero(m.owner == k)
+                if len(own) >= 3:
+                    three = np.lib.stride_tricks.sliding_window_view(s[own], 3).mean(axis=1)
+                    most = max(most, float(three[above[own[1:-1]]].max(initial=-np.inf)) - to_face)
+            return np.array([to_face, most])
+
+        beyond = float(values(m.lateral, m.radial)[1])
         u_row = float(np.median(1.0 / np.sqrt(m.weight[rows])))
+        u_beyond = float(np.hypot(u_width, 1.5 * u_row))
+        of_width, of_beyond = levers(m, values)
         return [
-            Reading("rim_width", self.side, width, u_width, **about),
-            Reading("rollover", self.side, max(most, 0.0), float(np.hypot(u_width, 1.5 * u_row)), **about),
+            Reading("rim_width", self.side, width, u_width, **about, lever=of_width),
+            Reading("rollover", self.side, max(beyond, 0.0), u_beyond, **about, lever=of_beyond),
         ]
 
     def _turn_readings(
@@ -300,6 +311,13 @@ class _Wheel:
         """Flange, hollow and wear from the mean meridian; noise by leaving groups of frames out."""
         m, settings, side = self.meridians, self.settings, self.side
         names = {"flange_height": "flange_height_mm", "flange_thickness": "flange_thickness_mm", "qr": "qr_mm"}
+
+        def values(a: Array, r: Array) -> Array:
+            s = (a - mean_at(a, m.weight, self.face_rows)) * self.outward
+            read = profile_values(s, r, m.weight, settings.definition)
+            return np.array([getattr(read, name) for name in names.values()])
+
+        lever = dict(zip(names, levers(m, values), strict=True))
         sets = []
         for (a, r), left_face in zip(groups, faces, strict=True):
             ok = np.isfinite(a)
@@ -308,7 +326,7 @@ class _Wheel:
         for quantity, name in names.items():
             value, u = getattr(full, name), jackknife(np.array([getattr(v, name) for v in sets]))
             if np.isfinite(value) and np.isfinite(u):
-                found[quantity] = Reading(quantity, side, float(value), u, **about)
+                found[quantity] = Reading(quantity, side, float(value), u, **about, lever=lever[quantity])
             else:
                 part = "flange's top" if quantity == "flange_height" else "flange's flank"
                 found[quantity] = refuse((quantity,), side, f"the {part} was not seen")[0]
@@ -322,7 +340,7 @@ class _Wheel:
             new = profile_values(nominal.s_mm, nominal.z_mm, np.ones(len(nominal.s_mm)), settings.definition)
             if np.isfinite(new.flange_height_mm):
                 wear = height.value - new.flange_height_mm
-                found["tread_wear"] = Reading("tread_wear", side, wear, height.u_noise, **about)
+                found["tread_wear"] = Reading("tread_wear", side, wear, height.u_noise, **about, lever=height.lever)
             else:
                 why = f"the nominal profile {nominal.name} has no flange to align by"
                 found["tread_wear"] = refuse(("tread_wear",), side, why)[0]
@@ -346,15 +364,16 @@ class _Wheel:
         low = int(np.argmin(z[: high + 1]))
         if high == low:  # falls all the way: nothing is hollow
             high, low = min(low + 1, len(z) - 1), low - (low == len(z) - 1)
-        rises = []
-        for (a, r), left_face in zip(groups, faces, strict=True):
+
+        def rise(a: Array, r: Array, face: float) -> float:
             ok = np.isfinite(a)
-            s, radial, weight = (a[ok] - left_face) * self.outward, r[ok], m.weight[ok]
+            s, radial, weight = (a[ok] - face) * self.outward, r[ok], m.weight[ok]
             ends = [local_fit(s, radial, weight, places[i], 2.5, 2) for i in (low, high)]
-            rises.append(ends[1].value - ends[0].value if ends[0] and ends[1] else np.nan)
-        return Reading(
-            "tread_hollow", self.side, max(0.0, float(z[high] - z[low])), jackknife(np.array(rises)), **about
-        )
+            return ends[1].value - ends[0].value if ends[0] and ends[1] else np.nan
+
+        u = jackknife(np.array([rise(a, r, face) for (a, r), face in zip(groups, faces, strict=True)]))
+        (lever,) = levers(m, lambda a, r: np.array([rise(a, r, mean_at(a, m.weight, self.face_rows))]))
+        return Reading("tread_hollow", self.side, max(0.0, float(z[high] - z[low])), u, **about, lever=lever)
 
     def _rows(self, full: ProfileValues, nominal: Nominal | str) -> ProfileRows:
         """The mean meridian for storage, beside the nominal profile."""

@@ -10,20 +10,22 @@ from numpy.typing import NDArray
 
 from wheelset_assets.bundle import CertificateValue, Rig, ScanHeader, Station
 from wheelset_assets.config import MeasurementConfig
-from wheelset_assets.metrology import comparator, rigid
-from wheelset_assets.metrology.comparator import Conditions, Difference, Tolerances, Value
-from wheelset_assets.metrology.reading import Reading, StationReading
+from wheelset_assets.metrology import comparator
+from wheelset_assets.metrology.comparator import Conditions, Difference, Standing, Tolerances, Value
+from wheelset_assets.metrology.laser_plane import Sensing
+from wheelset_assets.metrology.reading import Lever, Reading, StationReading
 from wheelset_assets.metrology.roundness import Range, Spectrum, harmonic_design, peak_to_peak
-from wheelset_assets.metrology.thermal import grown_pose, growth
 from wheelset_assets.metrology.uncertainty import Source, scale_uncertainty
 from wheelset_assets.quality import Flag
 from wheelset_assets.quantities import BY_NAME, quantities_of
 from wheelset_assets.stages.capture import stereo_sensors
 from wheelset_assets.stages.geometry import Geometry
+from wheelset_assets.stages.pose import View
 
 Array = NDArray[Any]
 
 
+_WITHIN_ONE_SENSOR = Standing(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DIAMETERS = {
     "wheel_diameter": ("wheel", "wheel_diameter"),
     "wheel_diameter_tape": ("wheel", "wheel_diameter"),
@@ -66,7 +68,6 @@ class Comparison:
         readings: dict[str, StationReading],
         reference_readings: pa.Table,
         calibrations: pa.Table,
-        cloud: pa.Table,
         moved: dict[str, Flag],
         config: MeasurementConfig,
     ) -> None:
@@ -104,11 +105,9 @@ class Comparison:
             config.expansion_wheelset_u_per_k,
             config.expansion_rig_u_per_k,
             config.axis_u_um * 1e-3,
-            config.nominal_translation_mm / np.sqrt(3),
             np.radians(config.nominal_rotation_deg) / np.sqrt(3),
         )
         self.scales = _scales(calibrations)
-        self.tangents = _sensing_tangents(cloud, zero, rig, scan)
 
     def values(self) -> Results:
         """Value, or reason, and flags of every quantity."""
@@ -222,7 +221,7 @@ class Comparison:
     def _from_range(self, found: Range, more: list[Source] | None = None) -> Value:
         """A run-out as a value: noise, scale, temperature."""
         value = comparator.absolute(
-            found.value, found.u, 0.0, self.conditions, self.tolerances, (found.value, 0.0), (1e-3, 1e-3), 0.0
+            found.value, found.u, self.conditions, self.tolerances, (found.value, 0.0), (1e-3, 1e-3), _WITHIN_ONE_SENSOR
         )
         return Value(value.value, value.uncompensated, value.sources + (more or []))
 
@@ -279,7 +278,7 @@ class Comparison:
             shift = reading.value - base["reading"]
             total += direction * shift
             parts.append(
-                self._difference(station, shift, 1.0, direction * np.array([1.0, 0, 0]), self._radial(station), 1e3)
+                self._difference(station, shift, 1.0, direction * np.array([1.0, 0, 0]), self._radial(station))
             )
             noise.append(reading.u_noise)
             base_noise.append(base["u_noise"])
@@ -306,22 +305,45 @@ class Comparison:
             return f"reference {self.reference.scan_id}: {base['reason'] if base else 'not read'}"
         return reading, base
 
-    def _difference(
-        self, station: Station, displacement: float, cross: float, direction: Array, across: Array, radius_mm: float
-    ) -> Difference:
+    def _view(self, station: Station) -> View:
+        """The sensor and line that the station's others are registered to."""
         names = [s.sensor_id for s in self.rig.station_sensors(station.station)]
-        view = next(v for name in names for v in sorted(self.zero.poses) if v[0] == name)
-        sensor, pose = view[0], self.zero.poses[view]
-        depth, lateral = self.scales.get(sensor, (1e-3, 1e-3))
+        return next(v for name in names for v in sorted(self.zero.poses) if v[0] == name)
+
+    def _sensing(self, station: Station) -> Sensing:
+        """How the station's sensing plane lies to the axle; as its nominal pose allows where no plane was found."""
+        view = self._view(station)
+        reach = float(np.hypot(*self.zero.poses[view][1:3, 3]))
+        u_offset = float(np.hypot(reach * self.tolerances.pose_rad, self.config.nominal_translation_mm / np.sqrt(3)))
+        return self.zero.sensing.get(view, Sensing(reach, 0.0, 0.0, u_offset, self.tolerances.pose_rad))
+
+    def _difference(
+        self,
+        station: Station,
+        displacement: float,
+        cross: float,
+        direction: Array,
+        across: Array,
+        radius_mm: float | None = None,
+    ) -> Difference:
+        """A displacement along the axle, or away from it at radius_mm."""
+        view = self._view(station)
+        sensing = self._sensing(station)
+        pose = self.zero.poses[view]
+        depth, lateral = self.scales.get(view[0], (1e-3, 1e-3))
         share, cross_share = abs(float(pose[:3, 2] @ direction)), abs(float(pose[:3, 2] @ across))
+        tangent = (
+            (sensing.yaw_rad, sensing.u_yaw_rad)
+            if radius_mm is None
+            else (sensing.offset_mm / radius_mm, sensing.u_offset_mm / radius_mm)
+        )
         return Difference(
             displacement,
             cross,
             float(np.hypot(share * depth, np.sqrt(max(1 - share**2, 0)) * lateral)),
             float(np.hypot(cross_share * depth, np.sqrt(max(1 - cross_share**2, 0)) * lateral)),
             float(pose[:3, 3] @ direction),
-            self.tangents.get(sensor, 0.05),
-            radius_mm,
+            *tangent,
             self.zero.u_squaring_rad.get(station.station, 1e-3),
         )
 
@@ -384,9 +406,7 @@ class Comparison:
             total += sign * shift
             seen_at = self._pair(face.replace("lateral", "radial"), side)
             cross = seen_at[0].value - seen_at[1]["reading"] if not isinstance(seen_at, str) else 1.0
-            parts.append(
-                self._difference(station, shift, cross, sign * np.array([1.0, 0, 0]), self._radial(station), 1e3)
-            )
+            parts.append(self._difference(station, shift, cross, sign * np.array([1.0, 0, 0]), self._radial(station)))
             noise.append(reading.u_noise)
             base_noise.append(base["u_noise"])
             flags |= reading.flags | self.moved.get(station.station, Flag.NONE)
@@ -417,29 +437,39 @@ class Comparison:
             (self.scales.get(s.sensor_id, (1e-3, 1e-3)) for s in self.rig.station_sensors(station.station)),
             default=(1e-3, 1e-3),
         )
-        lateral_u, radial_u, turn_u = self.zero.registration_u.get(station.station, (0.0, 0.0, 0.0))
-        registration_u = {
-            "flange_height": float(np.hypot(lateral_u, radial_u)),
-            "tread_wear": float(np.hypot(lateral_u, radial_u)),
-            "rim_width": lateral_u,
-            "rollover": lateral_u,
-            "journal_taper": radial_u,
-            "flange_thickness": lateral_u,
-            "qr": lateral_u,
-        }.get(quantity, 0.0)
         value = comparator.absolute(
             reading.value,
             reading.u_noise,
-            registration_u,
             self.conditions,
             self.tolerances,
             extent,
             scales,
-            float(np.hypot(self.zero.u_squaring_rad.get(station.station, 1e-3), turn_u))
-            if quantity in _EXTENTS_MM
-            else 0.0,
+            self._standing(station, quantity, reading),
         )
         return value, None, reading.flags | self.moved.get(station.station, Flag.NONE)
+
+    def _standing(self, station: Station, quantity: str, reading: Reading) -> Standing:
+        """What the station's geometry may be wrong in, and how a value within it follows.
+
+        Values without levers lie in one sensor's view and keep their size when it turns, but for a taper.
+        """
+        lever = reading.lever or Lever({}, sum(_EXTENTS_MM.get(quantity, (0.0, 0.0))), abs(reading.value))
+        names = {s.sensor_id for s in self.rig.station_sensors(station.station)}
+        registration = [
+            float(step * u)
+            for view, steps in sorted(self.zero.registration_u.items())
+            if view[0] in names
+            for step, u in zip(lever.views.get(view, (0.0, 0.0, 0.0)), steps, strict=True)
+        ]
+        sensing = self._sensing(station)
+        return Standing(
+            float(np.linalg.norm(registration)),
+            self.zero.u_squaring_rad.get(station.station, 1e-3),
+            sensing.u_shear,
+            lever.tilt_mm,
+            sensing.u_cosine,
+            lever.stretch_mm,
+        )
 
 
 _EXTENTS_MM = {
@@ -472,32 +502,4 @@ def _scales(calibrations: pa.Table) -> dict[str, tuple[float, float]]:
             found[row["sensor_id"]] = scale_uncertainty(
                 sensors[row["sensor_id"]], names, covariance, float(np.mean(row["depth_range_mm"]))
             )
-    return found
-
-
-def _sensing_tangents(cloud: pa.Table, zero: Geometry, rig: Rig, scan: ScanHeader) -> dict[str, float]:
-    """Angle of each sensor's laser plane against the radial direction, in the plane across the axle, in rad.
-
-    From the direction in which its points spread there; 0.05 rad is assumed where they do not spread.
-    """
-    g = growth(rig.expansion_per_k, scan.temperature_c.rig)
-    sensor = cloud["sensor_id"].combine_chunks()
-    codes, names = sensor.indices.to_numpy(zero_copy_only=False), sensor.dictionary.to_pylist()
-    xyz = [cloud[f"{axis}_mm"].to_numpy() for axis in "xyz"]
-    found = {}
-    lines = cloud["line"].to_numpy()
-    for (name, line), pose in sorted(zero.poses.items(), key=lambda item: item[0]):
-        if name not in names or name in found:
-            continue
-        member = np.flatnonzero((codes == names.index(name)) & (lines == line))
-        member = member[:: max(1, len(member) // 4000)]
-        if len(member) < 10:
-            continue
-        points = rigid.apply(grown_pose(pose, g), np.column_stack([c[member] for c in xyz]))[:, 1:]
-        mean = points.mean(axis=0)
-        values, vectors = np.linalg.eigh(np.cov((points - mean).T))
-        if np.sqrt(values[1]) < 2.0:
-            continue
-        radial = mean / np.linalg.norm(mean)
-        found[name] = float(np.arccos(np.clip(abs(vectors[:, 1] @ radial), 0, 1)))
     return found

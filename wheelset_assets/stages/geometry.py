@@ -14,6 +14,7 @@ from wheelset_assets.bundle import Rig, ScanHeader
 from wheelset_assets.config import MeasurementConfig
 from wheelset_assets.metrology import rigid
 from wheelset_assets.metrology.journal_reading import JOURNAL_READINGS, read_journal
+from wheelset_assets.metrology.laser_plane import Sensing
 from wheelset_assets.metrology.profile import ProfileDefinition
 from wheelset_assets.metrology.reading import DatumSettings, Nominal, StationReading, TurnSettings, refuse
 from wheelset_assets.metrology.revolution import MeridianGrid, meridian_motion
@@ -31,9 +32,10 @@ class Geometry:
 
     poses: dict[View, Array]
     u_squaring_rad: dict[str, float]
-    registration_u: dict[str, tuple[float, float, float]]
-    """Lateral and radial in mm and rotation in rad, by station; zero for a single sensor."""
+    registration_u: dict[View, tuple[float, float, float]]
+    """Lateral and radial in mm and rotation in rad, against the first sensor of the station; of each other one."""
     direction_deg: dict[str, float]
+    sensing: dict[View, Sensing]
 
 
 def scan_geometry(
@@ -41,25 +43,23 @@ def scan_geometry(
 ) -> Geometry:
     """Poses at 20 °C: squaring of the station, times the first sensor's pose before it, times target_from_source."""
     g = growth(rig.expansion_per_k, scan.temperature_c.rig)
-    before = standing(rig, scan.temperature_c.rig, stripe_statistics).poses
+    before = standing(rig, scan.temperature_c.rig, stripe_statistics)
     squaring = {row["station"]: row for row in alignments.to_pylist()}
     poses: dict[View, Array] = {}
     u_squaring: dict[str, float] = {}
-    registration_u: dict[str, tuple[float, float, float]] = {}
+    registration_u: dict[View, tuple[float, float, float]] = {}
     direction: dict[str, float] = {}
     for row in registrations.to_pylist():
         at = (row["target_sensor_id"], row["target_line"])
-        target = poses[at] = before[at]
+        target = poses[at] = before.poses[at]
         if row["method"] != "nominal":  # a sensor that is known to 2 mm only must not enter any value
             poses[row["source_sensor_id"], row["source_line"]] = target @ pose_of(row)
         direction[row["station"]] = row["direction_deg"]
-        own = [
+        registration_u[row["source_sensor_id"], row["source_line"]] = (
             1e-3 * (row["u_lateral_um"] or 0.0),
             1e-3 * (row["u_radial_um"] or 0.0),
             float(np.radians(row["u_meridian_deg"] or 0.0)),
-        ]
-        lateral, radial, rotation = np.maximum(registration_u.get(row["station"], (0.0, 0.0, 0.0)), own)
-        registration_u[row["station"]] = (float(lateral), float(radial), float(rotation))
+        )
     stations = {s.sensor_id: s.station for s in rig.sensors}
     for view, pose in poses.items():
         row = squaring.get(stations[view[0]])
@@ -74,7 +74,7 @@ def scan_geometry(
             )
             u_squaring[stations[view[0]]] = float(np.radians(row["u_squaring_deg"]))
         poses[view] = grown_pose(motion @ pose, 1.0 / g)
-    return Geometry(poses, u_squaring, registration_u, direction)
+    return Geometry(poses, u_squaring, registration_u, direction, before.sensing)
 
 
 def pose_of(row: dict[str, Any]) -> Array:
@@ -99,7 +99,7 @@ def shifted(
         names = {s.sensor_id for s in rig.station_sensors(station.station)}
         for view in [v for v in poses if v[0] in names]:
             poses[view] = grown_pose(shift @ grown_pose(poses[view], g), 1.0 / g)
-    return Geometry(poses, geometry.u_squaring_rad, geometry.registration_u, geometry.direction_deg)
+    return Geometry(poses, geometry.u_squaring_rad, geometry.registration_u, geometry.direction_deg, geometry.sensing)
 
 
 def zero_readings(

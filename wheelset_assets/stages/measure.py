@@ -90,9 +90,7 @@ def run_measurements(
         )
         for station, drift in drift_flags(rig, stripe_statistics, reference_stripe_statistics, config).items():
             moved[station] = moved.get(station, Flag.NONE) | drift
-        job = Comparison(
-            rig, scan, reference.scan, zero, compared, reference_readings, calibrations, filtered_clouds, moved, config
-        )
+        job = Comparison(rig, scan, reference.scan, zero, compared, reference_readings, calibrations, moved, config)
         values = job.values()
     values = _with_causes(values, rig, calibrations)
     kept = own_readings or compared

@@ -16,7 +16,7 @@ from wheelset_assets.bundle import Rig, ScanHeader, Sensor, Station
 from wheelset_assets.config import FeatureConfig, RegistrationConfig
 from wheelset_assets.metrology import features, registration, rigid
 from wheelset_assets.metrology.frequency import align_overlap
-from wheelset_assets.metrology.laser_plane import Make, turned_to_axle
+from wheelset_assets.metrology.laser_plane import Make, Sensing, turned_to_axle
 from wheelset_assets.metrology.revolution import (
     MeanMeridian,
     MeridianGrid,
@@ -32,8 +32,9 @@ from wheelset_assets.stages.drift import plane_of
 
 Array = NDArray[Any]
 
-MAKE = Make(2.0, float(np.radians(1.0)), 3.0)
-"""What the scan-bundle format promises: poses within 2 mm and 1 degree, sensing planes a few millimetres from the axle."""
+MAKE = Make(2.0, float(np.radians(1.0)), 3.0, float(np.radians(0.5)))
+"""What the scan-bundle format promises: poses within 2 mm and 1 degree, sensing planes a few millimetres from the axle.
+Of their angle with it it says no more than that they are meridians; half of what it grants a pose is taken."""
 
 
 def nominal_pose(sensor: Sensor, rig: Rig, rig_temperature_c: float) -> Array:
@@ -68,23 +69,24 @@ def nominal_poses(rig: Rig, rig_temperature_c: float) -> dict[View, Array]:
 
 @dataclass(frozen=True)
 class Standing:
-    """rig_from_sensor (4, 4) of every view before any registration, and the views that cannot stand as the rig says."""
+    """Views before any registration: rig_from_sensor (4, 4), how their laser planes lie to the axle where these are
+    known, and which cannot stand as the rig says."""
 
     poses: dict[View, Array]
+    sensing: dict[View, Sensing]
     far: frozenset[View]
 
 
 def standing(rig: Rig, rig_temperature_c: float, stripe_statistics: pa.Table) -> Standing:
-    """Nominal poses, each turned so that its laser plane passes the axle as near as a rig's does (`turned_to_axle`)."""
-    poses, far = nominal_poses(rig, rig_temperature_c), set()
+    """Nominal poses, turned so that laser planes lie to the axle as a rig's do (`turned_to_axle`)."""
+    poses, sensing, far = nominal_poses(rig, rig_temperature_c), {}, set()
     for row in stripe_statistics.to_pylist():
         view, plane = (row["sensor_id"], row["line"]), plane_of(row)
         if view in poses and plane is not None:
-            turned = turned_to_axle(poses[view], plane, MAKE)
-            poses[view] = turned.rig_from_sensor
-            if not abs(turned.offset_mm) <= turned.limit_mm:
+            poses[view], sensing[view], is_far = turned_to_axle(poses[view], plane, MAKE)
+            if is_far:
                 far.add(view)
-    return Standing(poses, frozenset(far))
+    return Standing(poses, sensing, frozenset(far))
 
 
 def _frame_count(cloud: pa.Table) -> int:
@@ -181,6 +183,7 @@ class StationScan:
     grids: dict[View, MeridianGrid]
     means: dict[View, MeanMeridian]
     curves: dict[View, Array]
+    sensing: dict[View, Sensing]
     flags: dict[View, Flag]
     """What every registration of a view is flagged with."""
 
@@ -205,7 +208,7 @@ def station_scans(
             absent = Flag.NONE if {s.sensor_id for s in wanted} <= seen_sensors else Flag.SENSOR_MISSING
             flags = {v: absent | (Flag.FAR_FROM_NOMINAL if v in before.far else Flag.NONE) for v in views}
             known = {v: poses[v] for v in views}, {v: found[v] for v in views}
-            result.append(StationScan(station, views, *known, means, curves, flags))
+            result.append(StationScan(station, views, *known, means, curves, before.sensing, flags))
     return result
 
 
@@ -304,7 +307,7 @@ def register_by_icp(
         config.min_pairs,
         config.form_floor_um * 1e-3,
         config.constrained_ratio,
-        registration.silent_strain(np.radians(config.nominal_rotation_deg), config.plane_offset_mm, pivot[1]),
+        _strain_u(station, source, target),
     )
     found, started_coarse = _best_start(curves[source], curves[target], direction, start, settings)
     if not started_coarse:
@@ -337,6 +340,17 @@ def register_by_icp(
         "information": list(found.information.ravel()),
     }
     return found.motion, row | check
+
+
+def _strain_u(station: StationScan, source: View, target: View) -> tuple[float, float, float]:
+    """Of one view's meridian against the other's; of views without a known plane, what their nominal poses allow."""
+    seen = []
+    for view in (source, target):
+        radius = float(station.curves[view][:, 1].mean())
+        reach = float(np.hypot(*station.poses[view][1:3, 3]))
+        unknown = Sensing(radius, 0.0, 0.0, float(np.hypot(MAKE.pose_mm, MAKE.pose_rad * reach)), MAKE.pose_rad)
+        seen.append(station.sensing.get(view, unknown))
+    return registration.silent_strain(*seen)
 
 
 def _frequency_check(source: Array, target: Array, config: RegistrationConfig) -> tuple[dict[str, float], bool]:
