@@ -89,10 +89,11 @@ class Difference:
 class Standing:
     """How well a station's geometry is known, as standard uncertainties, and how a value follows it (mm).
 
-    registration_mm: of the value by the registration of its sensors. tilt_u_rad: of the squaring; plane_tilt_u_rad: of
+    calibration_mm, registration_mm: of the value by the calibration and by the registration of its sensors. tilt_u_rad: of the squaring; plane_tilt_u_rad: of
     the meridian by the sensing plane's distance from the axle; strain_u: along the axle, by the sensing plane's angle.
     """
 
+    calibration_mm: float
     registration_mm: float
     tilt_u_rad: float
     plane_tilt_u_rad: float
@@ -172,17 +173,14 @@ def absolute(
     u_noise: float,
     conditions: Conditions,
     tolerances: Tolerances,
-    extent: tuple[float, float],
-    scales: tuple[float, float],
     standing: Standing,
 ) -> Value:
-    """Value of a quantity that needs no zero: it lies within one station. extent: its size (along, across) in mm."""
+    """Value of a quantity that needs no zero: it lies within one station."""
     value = reading_mm / conditions.growth
-    scale = float(np.hypot(scales[0] * extent[0], scales[1] * extent[1]))
     sources = [
         Source("noise of the scan", u_noise, "mm", 1.0),
         Source("registration of the sensors", standing.registration_mm, "mm", 1.0),
-        Source("calibration: scale", scale, "mm", 1.0),
+        Source("calibration of the sensors", standing.calibration_mm, "mm", 1.0),
         Source("squareness to the axle", standing.tilt_u_rad, "rad", standing.tilt_mm),
         Source("sensing plane beside the axle", standing.plane_tilt_u_rad, "rad", standing.tilt_mm),
         Source("sensor pose in unconstrained directions", standing.strain_u, "1", standing.stretch_mm),

@@ -1,4 +1,4 @@
-"""How a value of a station follows its sensors: derivatives by finite steps, for the budget of uncertainty.
+"""How a value of a station follows its sensors, for the budget: by their registration, squaring and calibration.
 
 A value may rest on one sensor alone, or on two against each other: the rows themselves tell. Each step moves rows of
 the mean meridian and reads the values again.
@@ -6,64 +6,180 @@ the mean meridian and reads the values again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from wheelset_assets.metrology import rigid
+from wheelset_assets.metrology.point_uncertainty import displacement_modes
 from wheelset_assets.metrology.reading import Lever, Meridians
+from wheelset_assets.metrology.triangulation import StereoSensor
 
 Array = NDArray[Any]
+Mask = NDArray[np.bool_]
 Values = Callable[[Array, Array], Array]
 """Values (n,) in mm from the lateral and the radial coordinates of all rows, (rows,) each; NaN where there is none."""
 
 STEP_MM = 0.02
 """Small against every window of a fit, large against its jumps when a row enters it."""
+FIELD_ROWS = 48
+"""A calibration's error is smooth: it is worked out at so many rows and interpolated."""
+KEPT = 1e-3
+"""Modes that together carry less of the variance are left out."""
+OVERLAP_MM = 1.0
 
 
-def levers(meridians: Meridians, values: Values) -> list[Lever]:
+@dataclass(frozen=True)
+class CalibrationField:
+    """A sensor with the covariance of its parameters, and its pose (4, 4): what its calibration's error does to rows."""
+
+    sensor: StereoSensor
+    parameter_names: tuple[str, ...]
+    covariance: Array
+    rig_from_sensor: Array
+
+    def modes(self, lateral: Array, radial: Array, direction_deg: float) -> Array:
+        """Independent displacements (modes, rows, 2) in mm, lateral and radial, of rows (n,) at one standard uncertainty,
+        without the shift and turn in the meridian plane that they share."""
+        chosen = np.unique(np.linspace(0, len(lateral) - 1, FIELD_ROWS).astype(int))
+        psi = np.radians(direction_deg)
+        outward = np.array([0.0, np.cos(psi), np.sin(psi)])
+        points = lateral[chosen, None] * np.array([1.0, 0.0, 0.0]) + radial[chosen, None] * outward
+        seen = rigid.apply(rigid.inverse(self.rig_from_sensor), points)
+        fields = displacement_modes(self.sensor, self.parameter_names, self.covariance, seen)
+        fields = fields @ self.rig_from_sensor[:3, :3].T
+        planar = np.stack([fields[..., 0], fields @ outward], axis=-1)
+        shared = _rigid_columns(lateral[chosen], radial[chosen])
+        flat = planar.reshape(len(planar), -1).T
+        flat = flat - shared @ (np.linalg.pinv(shared) @ flat)
+        u, size, _ = np.linalg.svd(flat, full_matrices=False)
+        share = np.cumsum(size[::-1] ** 2)[::-1] / max(float((size**2).sum()), 1e-300)
+        kept = (u * size)[:, (share > KEPT) & (size > 0)].T.reshape(-1, len(chosen), 2)
+        at, modes = np.arange(len(lateral)), np.empty((len(kept), len(lateral), 2))
+        for made, mode in zip(modes, kept, strict=True):
+            for axis in (0, 1):
+                made[:, axis] = np.interp(at, chosen, mode[:, axis])
+        return modes
+
+
+def levers(
+    meridians: Meridians, values: Values, face: Mask, fields: Mapping[tuple[str, int], CalibrationField]
+) -> list[Lever]:
     """Levers of each of the values, in their order.
 
-    The first grid is the one that the others are registered to. A value that a step loses counts as following it
-    fully.
+    The first grid is the one that the others are registered to; `face` (rows,) squares the station. fields: by sensor
+    and line. A value that a step loses counts as following it fully.
     """
     a, r = meridians.lateral, meridians.radial
     base = values(a, r)
-    reach = 0.5 * max(float(np.ptp(a)), float(np.ptp(r)), 1.0)
+    turn = STEP_MM / (0.5 * max(float(np.ptp(a)), float(np.ptp(r)), 1.0))
 
-    def slope(moved_a: Array, moved_r: Array, step: float) -> Array:
-        found = (values(moved_a, moved_r) - base) / step
-        return np.where(np.isfinite(found), found, STEP_MM / abs(step))
+    def change(moved_a: Array, moved_r: Array, size_mm: float) -> Array:
+        found = values(moved_a, moved_r) - base
+        return np.where(np.isfinite(found), found, size_mm)
 
-    views: list[tuple[str, int, Array]] = []
-    for k, grid in enumerate(meridians.grids[1:], 1):
+    everywhere = np.ones(len(a), bool)
+    tilt = change(*_turned(a, r, everywhere, turn), STEP_MM) / turn
+    middle = float(a.mean())
+    stretch = change(middle + (a - middle) * (1 + turn), r, STEP_MM) / turn
+    views = {}
+    square = np.zeros(len(base))
+    fits = _overlaps(meridians)
+    for k, grid in enumerate(meridians.grids):
         own = meridians.owner == k
         if not own.any():
             continue
-        turn = STEP_MM / reach
-        turned = _turned(a, r, own, turn)
-        steps = [
-            slope(np.where(own, a + STEP_MM, a), r, STEP_MM),
-            slope(a, np.where(own, r + STEP_MM, r), STEP_MM),
-            slope(*turned, turn),
-        ]
-        views.append((grid.sensor_id, grid.line, np.array(steps)))
-    everywhere = np.ones(len(a), bool)
-    tilt = slope(*_turned(a, r, everywhere, STEP_MM / reach), STEP_MM / reach)
-    middle = float(a.mean())
-    stretch = slope(middle + (a - middle) * (1 + STEP_MM / reach), r, STEP_MM / reach)
+        view = (grid.sensor_id, grid.line)
+        if k:
+            views[view] = np.array(
+                [
+                    change(np.where(own, a + STEP_MM, a), r, STEP_MM) / STEP_MM,
+                    change(a, np.where(own, r + STEP_MM, r), STEP_MM) / STEP_MM,
+                    change(*_turned(a, r, own, turn), STEP_MM) / turn,
+                ]
+            )
+        for mode in fields[view].modes(a[own], r[own], grid.direction_deg) if view in fields else ():
+            step = np.zeros((len(a), 2))
+            step[own] = mode
+            for fit in fits:
+                fit.register(step)
+            _square(step, a, r, face)
+            square += change(a + step[:, 0], r + step[:, 1], float(np.abs(mode).max())) ** 2
+    known = bool(fields)
     return [
         Lever(
-            {(sensor, line): tuple(map(float, steps[:, i])) for sensor, line, steps in views},
+            {view: tuple(map(float, steps[:, i])) for view, steps in views.items()},
             float(tilt[i]),
             float(stretch[i]),
+            float(np.sqrt(square[i])) if known else None,
         )
         for i in range(len(base))
     ]
 
 
-def _turned(a: Array, r: Array, own: NDArray[np.bool_], angle_rad: float) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class _Overlap:
+    """Where one view lies over the first: what the registration between them makes of displacements."""
+
+    own: Array
+    columns: Array
+    """(2 own, 3) displacements of its rows by shifts and a turn."""
+    source: Array
+    target: Array
+    normal: Array
+    solve: Array
+    """(3, pairs): shifts and turn that take distances along the normals away."""
+
+    def register(self, step: Array) -> None:
+        """Move the view's rows as its registration would, given displacements (rows, 2)."""
+        apart = ((step[self.target] - step[self.source]) * self.normal).sum(axis=1)
+        step[self.own] += (self.columns @ (self.solve @ apart)).reshape(-1, 2)
+
+
+def _overlaps(meridians: Meridians) -> list[_Overlap]:
+    points = meridians.points
+    first = np.flatnonzero(meridians.owner == 0)
+    found = []
+    for k in range(1, len(meridians.grids)):
+        own = np.flatnonzero(meridians.owner == k)
+        if len(first) < 3 or len(own) < 3:
+            continue
+        distance, nearest = cKDTree(points[first]).query(points[own])
+        both = distance < OVERLAP_MM
+        if both.sum() < 3:
+            continue
+        along = np.gradient(points[first], axis=0)
+        normal = np.column_stack([-along[:, 1], along[:, 0]])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+        columns = _rigid_columns(*points[own].T)
+        across = normal[nearest[both]]
+        seen = (columns.reshape(-1, 2, 3)[both] * across[:, :, None]).sum(axis=1)
+        found.append(_Overlap(own, columns, own[both], first[nearest[both]], across, np.linalg.pinv(seen)))
+    return found
+
+
+def _rigid_columns(a: Array, r: Array) -> Array:
+    """Displacements (2 n, 3), lateral and radial in turn, of rows by unit shifts and a turn about their middle."""
+    columns = np.zeros((len(a), 2, 3))
+    columns[:, 0, 0] = columns[:, 1, 1] = 1.0
+    columns[:, 0, 2], columns[:, 1, 2] = r.mean() - r, a - a.mean()
+    return columns.reshape(-1, 3)
+
+
+def _square(step: Array, a: Array, r: Array, face: Mask) -> None:
+    """Turn the station as its squaring would, given displacements (rows, 2): the face stays upright."""
+    if face.sum() < 2 or np.ptp(r[face]) == 0:
+        return
+    tilt = float(np.polyfit(r[face] - r[face].mean(), step[face, 0], 1)[0])
+    step[:, 0] -= tilt * (r - r[face].mean())
+    step[:, 1] += tilt * (a - a[face].mean())
+
+
+def _turned(a: Array, r: Array, own: Mask, angle_rad: float) -> tuple[Array, Array]:
     """Coordinates with the rows `own` turned about their middle, from lateral towards radial."""
     middle_a, middle_r = float(a[own].mean()), float(r[own].mean())
     c, s = np.cos(angle_rad), np.sin(angle_rad)

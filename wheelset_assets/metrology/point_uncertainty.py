@@ -17,13 +17,14 @@ from wheelset_assets.metrology.triangulation import Camera, StereoSensor, distor
 Array = NDArray[Any]
 
 
-def calibration_covariance(
+def displacement_modes(
     sensor: StereoSensor, parameter_names: tuple[str, ...], covariance: Array, points_mm: Array
 ) -> Array:
-    """Covariance (n, 3, 3) in mm^2 of points (n, 3) in the sensor frame, from that of the calibration's parameters.
+    """Fields (modes, n, 3) in mm by which the calibration's error moves points (n, 3) of the sensor frame.
 
-    First order: the points' pixels are held fast and triangulated with every parameter moved by its standard
-    uncertainty to either side.
+    Independent of each other, each at one standard uncertainty: their outer products add up to the displacements'
+    covariance. First order: the points' pixels are held fast and triangulated with every parameter moved by its
+    standard uncertainty to either side.
     """
     pixels = _pixels(sensor, points_mm)
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -32,7 +33,29 @@ def calibration_covariance(
         if u[k] > 0:
             ends = [_points(moved(sensor, {name: sign * u[k]}), pixels) for sign in (1.0, -1.0)]
             slopes[k] = (ends[0] - ends[1]) / (2 * u[k])
-    return np.einsum("kni,kl,lnj->nij", slopes, covariance, slopes)
+    values, vectors = np.linalg.eigh(covariance)
+    return np.einsum("pm,pnk->mnk", vectors * np.sqrt(np.maximum(values, 0.0)), slopes)
+
+
+def calibration_covariance(
+    sensor: StereoSensor, parameter_names: tuple[str, ...], covariance: Array, points_mm: Array
+) -> Array:
+    """Covariance (n, 3, 3) in mm^2 of points (n, 3) in the sensor frame, from that of the calibration's parameters."""
+    modes = displacement_modes(sensor, parameter_names, covariance, points_mm)
+    return np.einsum("mni,mnj->nij", modes, modes)
+
+
+def scale_uncertainty(
+    sensor: StereoSensor, parameter_names: tuple[str, ...], covariance: Array, depth_mm: float
+) -> tuple[float, float]:
+    """Relative standard uncertainty of displacements that the sensor measures at depth_mm: in depth, and across.
+
+    From the covariance of the calibration, between points one millimetre apart.
+    """
+    points = np.array([0.0, 0.0, depth_mm]) + np.array([[0.0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    modes = displacement_modes(sensor, parameter_names, covariance, points)
+    depth, across = modes[:, 1, 2] - modes[:, 0, 2], modes[:, 2, 1] - modes[:, 0, 1]
+    return float(np.linalg.norm(depth)), float(np.linalg.norm(across))
 
 
 def working_grid(

@@ -82,6 +82,8 @@ class Lever:
     """By a turn of the whole station in the meridian plane, from lateral towards radial, per rad."""
     stretch_mm: float
     """By a strain of the whole station along the axle."""
+    u_calibration_mm: float | None
+    """Standard uncertainty of the value by the sensors' calibrations; None where these were not known."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from wheelset_assets.metrology.datum import Line, find_face
 from wheelset_assets.metrology.frame_series import FrameSeries, frame_series, sensors_missed
-from wheelset_assets.metrology.levers import levers
+from wheelset_assets.metrology.levers import CalibrationField, levers
 from wheelset_assets.metrology.profile import (
     ProfileValues,
     flange_top,
@@ -80,19 +81,20 @@ def read_wheel(
     side: str,
     settings: TurnSettings,
     nominal: Nominal | str = "no nominal profile",
+    fields: Mapping[tuple[str, int], CalibrationField] | None = None,
 ) -> StationReading:
     """Readings of a wheel station from its sensors' grids (frames, rows), in a geometry squared to the axle.
 
-    nominal: the nominal profile, or why there is none.
+    nominal: the nominal profile, or why there is none. fields: the calibrations behind the grids, by sensor and line.
     """
     outward = 1.0 if side == "right" else -1.0
-    wheel = _Wheel(grids, angle_deg, side, outward, settings, np.ones(len(angle_deg), bool))
+    wheel = _Wheel(grids, angle_deg, side, outward, settings, np.ones(len(angle_deg), bool), fields or {})
     if wheel.refused:
         return StationReading(refuse(WHEEL_READINGS, side, wheel.refused))
     fit = wheel.tread_fit
     if fit is not None and not unsupported(fit, settings) and fit.used.sum() < np.isfinite(wheel.tread.value_mm).sum():
         # Dirt and flats must not enter the mean meridian either.
-        wheel = _Wheel(grids, angle_deg, side, outward, settings, fit.used)
+        wheel = _Wheel(grids, angle_deg, side, outward, settings, fit.used, fields or {})
         if wheel.refused:
             return StationReading(refuse(WHEEL_READINGS, side, f"{wheel.refused} in the clean frames"))
     return wheel.readings(nominal)
@@ -109,7 +111,9 @@ class _Wheel:
         outward: float,
         settings: TurnSettings,
         used: Mask,
+        fields: Mapping[tuple[str, int], CalibrationField],
     ) -> None:
+        self.fields = fields
         self.grids, self.angle_deg, self.side, self.outward, self.settings = grids, angle_deg, side, outward, settings
         self.body_deg = body_angle_deg(angle_deg, float(np.nanmean([g.direction_deg for g in grids])))
         self.meridians = Meridians(grids, used)
@@ -230,7 +234,7 @@ class _Wheel:
         beyond = float(values(m.lateral, m.radial)[1])
         u_row = float(np.median(1.0 / np.sqrt(m.weight[rows])))
         u_beyond = float(np.hypot(u_width, 1.5 * u_row))
-        of_width, of_beyond = levers(m, values)
+        of_width, of_beyond = levers(m, values, self.face_rows, self.fields)
         return [
             Reading("rim_width", self.side, width, u_width, **about, lever=of_width),
             Reading("rollover", self.side, max(beyond, 0.0), u_beyond, **about, lever=of_beyond),
@@ -317,7 +321,7 @@ class _Wheel:
             read = profile_values(s, r, m.weight, settings.definition)
             return np.array([getattr(read, name) for name in names.values()])
 
-        lever = dict(zip(names, levers(m, values), strict=True))
+        lever = dict(zip(names, levers(m, values, self.face_rows, self.fields), strict=True))
         sets = []
         for (a, r), left_face in zip(groups, faces, strict=True):
             ok = np.isfinite(a)
@@ -372,7 +376,9 @@ class _Wheel:
             return ends[1].value - ends[0].value if ends[0] and ends[1] else np.nan
 
         u = jackknife(np.array([rise(a, r, face) for (a, r), face in zip(groups, faces, strict=True)]))
-        (lever,) = levers(m, lambda a, r: np.array([rise(a, r, mean_at(a, m.weight, self.face_rows))]))
+        (lever,) = levers(
+            m, lambda a, r: np.array([rise(a, r, mean_at(a, m.weight, self.face_rows))]), self.face_rows, self.fields
+        )
         return Reading("tread_hollow", self.side, max(0.0, float(z[high] - z[low])), u, **about, lever=lever)
 
     def _rows(self, full: ProfileValues, nominal: Nominal | str) -> ProfileRows:

@@ -241,6 +241,17 @@ def stereo_sensors(calibrations: pa.Table) -> dict[str, tri.StereoSensor]:
     return sensors
 
 
+def parameter_covariances(calibrations: pa.Table) -> dict[str, tuple[tri.StereoSensor, tuple[str, ...], np.ndarray]]:
+    """Usable sensors, with the names of their parameters and the covariance of these, by sensor_id."""
+    sensors, found = stereo_sensors(calibrations), {}
+    for row in calibrations.to_pylist():
+        if row["sensor_id"] in sensors:
+            names = tuple(row["parameter_names"])
+            covariance = np.array(row["covariance"]).reshape(len(names), len(names))
+            found[row["sensor_id"]] = (sensors[row["sensor_id"]], names, covariance)
+    return found
+
+
 def run_triangulated_clouds(
     *, stripes: Stripes, calibrations: pa.Table, scan: ScanHeader, config: TriangulationConfig
 ) -> Mapping[str, pa.Table]:

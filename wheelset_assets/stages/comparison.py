@@ -13,19 +13,19 @@ from wheelset_assets.config import MeasurementConfig
 from wheelset_assets.metrology import comparator
 from wheelset_assets.metrology.comparator import Conditions, Difference, Standing, Tolerances, Value
 from wheelset_assets.metrology.laser_plane import Sensing
+from wheelset_assets.metrology.point_uncertainty import scale_uncertainty
 from wheelset_assets.metrology.reading import Lever, Reading, StationReading
 from wheelset_assets.metrology.roundness import Range, Spectrum, harmonic_design, peak_to_peak
-from wheelset_assets.metrology.uncertainty import Source, scale_uncertainty
+from wheelset_assets.metrology.uncertainty import Source
 from wheelset_assets.quality import Flag
 from wheelset_assets.quantities import BY_NAME, quantities_of
-from wheelset_assets.stages.capture import stereo_sensors
+from wheelset_assets.stages.capture import parameter_covariances
 from wheelset_assets.stages.geometry import Geometry
 from wheelset_assets.stages.pose import View
 
 Array = NDArray[Any]
 
 
-_WITHIN_ONE_SENSOR = Standing(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DIAMETERS = {
     "wheel_diameter": ("wheel", "wheel_diameter"),
     "wheel_diameter_tape": ("wheel", "wheel_diameter"),
@@ -221,7 +221,7 @@ class Comparison:
     def _from_range(self, found: Range, more: list[Source] | None = None) -> Value:
         """A run-out as a value: noise, scale, temperature."""
         value = comparator.absolute(
-            found.value, found.u, self.conditions, self.tolerances, (found.value, 0.0), (1e-3, 1e-3), _WITHIN_ONE_SENSOR
+            found.value, found.u, self.conditions, self.tolerances, _within_one_sensor(found.value)
         )
         return Value(value.value, value.uncompensated, value.sources + (more or []))
 
@@ -432,19 +432,8 @@ class Comparison:
             return None, (reading.reason if reading else None) or "not read", Flag.NONE
         kind = BY_NAME[quantity].station
         station = self.stations[kind, side]
-        extent = _EXTENTS_MM.get(quantity, (abs(reading.value), 0.0))
-        scales = max(
-            (self.scales.get(s.sensor_id, (1e-3, 1e-3)) for s in self.rig.station_sensors(station.station)),
-            default=(1e-3, 1e-3),
-        )
         value = comparator.absolute(
-            reading.value,
-            reading.u_noise,
-            self.conditions,
-            self.tolerances,
-            extent,
-            scales,
-            self._standing(station, quantity, reading),
+            reading.value, reading.u_noise, self.conditions, self.tolerances, self._standing(station, quantity, reading)
         )
         return value, None, reading.flags | self.moved.get(station.station, Flag.NONE)
 
@@ -453,7 +442,14 @@ class Comparison:
 
         Values without levers lie in one sensor's view and keep their size when it turns, but for a taper.
         """
-        lever = reading.lever or Lever({}, sum(_EXTENTS_MM.get(quantity, (0.0, 0.0))), abs(reading.value))
+        along, across = extent = _EXTENTS_MM.get(quantity, (abs(reading.value), 0.0))
+        tilt_mm = sum(extent) if quantity in _EXTENTS_MM else 0.0
+        lever = reading.lever or Lever({}, tilt_mm, abs(reading.value), None)
+        calibration = lever.u_calibration_mm
+        if calibration is None:
+            sensors = self.rig.station_sensors(station.station)
+            scales = max((self.scales.get(s.sensor_id, (1e-3, 1e-3)) for s in sensors), default=(1e-3, 1e-3))
+            calibration = float(np.hypot(scales[0] * along, scales[1] * across))
         names = {s.sensor_id for s in self.rig.station_sensors(station.station)}
         registration = [
             float(step * u)
@@ -463,6 +459,7 @@ class Comparison:
         ]
         sensing = self._sensing(station)
         return Standing(
+            calibration,
             float(np.linalg.norm(registration)),
             self.zero.u_squaring_rad.get(station.station, 1e-3),
             sensing.u_shear,
@@ -485,6 +482,11 @@ _EXTENTS_MM = {
 """Size of the part of the profile that a quantity spans, along the quantity and across it."""
 
 
+def _within_one_sensor(value_mm: float) -> Standing:
+    """Of a small length that one sensor sees: its scale is known to a thousandth."""
+    return Standing(1e-3 * value_mm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 def _truncated(found: Spectrum, order: int) -> Array:
     """Covariance of mean, cosines and sines up to an order."""
     index = np.concatenate([[0], np.arange(1, order + 1), found.order + np.arange(1, order + 1)])
@@ -493,13 +495,8 @@ def _truncated(found: Spectrum, order: int) -> Array:
 
 def _scales(calibrations: pa.Table) -> dict[str, tuple[float, float]]:
     """Relative standard uncertainty of displacements in depth and across, for each sensor at its boards' mean depth."""
-    sensors = stereo_sensors(calibrations)
-    found = {}
-    for row in calibrations.to_pylist():
-        if row["sensor_id"] in sensors:
-            names = tuple(row["parameter_names"])
-            covariance = np.array(row["covariance"]).reshape(len(names), len(names))
-            found[row["sensor_id"]] = scale_uncertainty(
-                sensors[row["sensor_id"]], names, covariance, float(np.mean(row["depth_range_mm"]))
-            )
-    return found
+    depth = {r["sensor_id"]: r["depth_range_mm"] for r in calibrations.to_pylist()}
+    return {
+        sensor: scale_uncertainty(*known, float(np.mean(depth[sensor])))
+        for sensor, known in parameter_covariances(calibrations).items()
+    }

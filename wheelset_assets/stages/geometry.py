@@ -15,11 +15,13 @@ from wheelset_assets.config import MeasurementConfig
 from wheelset_assets.metrology import rigid
 from wheelset_assets.metrology.journal_reading import JOURNAL_READINGS, read_journal
 from wheelset_assets.metrology.laser_plane import Sensing
+from wheelset_assets.metrology.levers import CalibrationField
 from wheelset_assets.metrology.profile import ProfileDefinition
 from wheelset_assets.metrology.reading import DatumSettings, Nominal, StationReading, TurnSettings, refuse
 from wheelset_assets.metrology.revolution import MeridianGrid, meridian_motion
 from wheelset_assets.metrology.thermal import grown_pose, growth
 from wheelset_assets.metrology.wheel_reading import WHEEL_READINGS, read_wheel
+from wheelset_assets.stages.capture import parameter_covariances
 from wheelset_assets.stages.pose import View, standing, station_grids
 from wheelset_assets.stages.raw import Frames
 
@@ -164,6 +166,13 @@ def _settings(config: MeasurementConfig) -> TurnSettings:
     )
 
 
+def _fields(calibrations: pa.Table | None, poses: Mapping[View, Array]) -> dict[View, CalibrationField]:
+    if calibrations is None:
+        return {}
+    known = parameter_covariances(calibrations)
+    return {view: CalibrationField(*known[view[0]], pose) for view, pose in poses.items() if view[0] in known}
+
+
 def read_stations(
     cloud: pa.Table,
     rig: Rig,
@@ -172,12 +181,16 @@ def read_stations(
     geometry: Geometry,
     config: MeasurementConfig,
     nominal: Nominal | str = "no nominal profile",
+    calibrations: pa.Table | None = None,
 ) -> dict[str, StationReading]:
-    """Readings of every station in a geometry, at the scan's rig temperature."""
+    """Readings of every station in a geometry, at the scan's rig temperature.
+
+    calibrations: for how values within one station follow them; without, that is not told.
+    """
     g = growth(rig.expansion_per_k, scan.temperature_c.rig)
     poses = {name: grown_pose(pose, g) for name, pose in geometry.poses.items()}
     found = station_grids(cloud, poses, len(frames.angle_deg))
-    settings = _settings(config)
+    settings, fields = _settings(config), _fields(calibrations, poses)
     result = {}
     for station in rig.stations:
         members: list[MeridianGrid] = [
@@ -189,7 +202,7 @@ def read_stations(
                 refuse(quantities, station.side, f"station {station.station} delivered no points")
             )
         elif station.kind == "wheel":
-            result[station.station] = read_wheel(members, frames.angle_deg, station.side, settings, nominal)
+            result[station.station] = read_wheel(members, frames.angle_deg, station.side, settings, nominal, fields)
         else:
             result[station.station] = read_journal(members, frames.angle_deg, station.side, settings)
     return result

@@ -76,7 +76,7 @@ def run_measurements(
             if r["quantity"].endswith("_radial_base")
         }
         zero = shifted(zero, rig, reference.scan.temperature_c.rig, stored)
-        compared = read_stations(filtered_clouds, rig, scan, frames, zero, config, nominal)
+        compared = read_stations(filtered_clouds, rig, scan, frames, zero, config, nominal, calibrations)
         moved = station_flags(
             rig,
             scan,
