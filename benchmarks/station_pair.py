@@ -58,7 +58,8 @@ def pair(root: Path, frames: int, rows: int) -> dict[str, Any]:
     ]
     truth_rig = data.truth_rig
     return {
-        "cloud": filtered, "statistics": tables["stripe_statistics"], "rig": rig, "scan": header, "angle": angle, "names": names, "config": config,
+        "cloud": filtered, "statistics": tables["stripe_statistics"], "rig": rig, "scan": header, "angle": angle,
+        "names": names, "config": config,
         "true": truth.true_poses(truth_rig, data.scan_id), "nominal": truth.nominal_poses(truth_rig),
     }  # fmt: skip
 

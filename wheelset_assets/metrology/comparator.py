@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wheelset_assets.metrology.laser_plane import half_square_uncertainty
 from wheelset_assets.metrology.uncertainty import Source
 
 CORRELATED = frozenset(
@@ -72,7 +73,8 @@ class Difference:
 
     displacement_mm: along the measured direction; cross_mm: across it, in the meridian plane. scale: relative standard
     uncertainty of displacements along, and across. lever_mm: change of the reading for a unit strain of the rig.
-    tangent_rad: angle between the sensing plane and the measured direction, with its standard uncertainty.
+    tangent_rad: angle between the sensing plane and the measured direction, with its standard uncertainty; on the
+    sensor's slide along the turn, and on its turns about the axle and the radial direction, the data are silent.
     """
 
     displacement_mm: float
@@ -89,8 +91,9 @@ class Difference:
 class Standing:
     """How well a station's geometry is known, as standard uncertainties, and how a value follows it (mm).
 
-    calibration_mm, registration_mm: of the value by the calibration and by the registration of its sensors. tilt_u_rad: of the squaring; plane_tilt_u_rad: of
-    the meridian by the sensing plane's distance from the axle; strain_u: along the axle, by the sensing plane's angle.
+    calibration_mm, registration_mm: of the value by the calibration and by the registration of its sensors. tilt_u_rad:
+    of the squaring; plane_tilt_u_rad: of the meridian by the sensing plane's distance from the axle and angle with it;
+    strain_u: of lengths along the axle by that angle.
     """
 
     calibration_mm: float
@@ -153,19 +156,10 @@ def compare(
     cross = float(np.sqrt(sum((np.hypot(p.tilt_u_rad, p.cross_scale) * p.cross_mm) ** 2 for p in parts)))
     sources.append(Source("calibration and squareness across the reading", cross, "mm", factor))
     pose = float(
-        np.sqrt(sum((p.displacement_mm * cosine_uncertainty(p.tangent_rad, p.tangent_u_rad)) ** 2 for p in parts))
+        np.sqrt(sum((p.displacement_mm * half_square_uncertainty(p.tangent_rad, p.tangent_u_rad)) ** 2 for p in parts))
     )
     sources.append(Source("sensor pose in unconstrained directions", pose, "mm", factor))
     return Value(value, uncompensated, sources)
-
-
-def cosine_uncertainty(angle_rad: float, u_rad: float) -> float:
-    """Standard uncertainty of the cosine of an angle that is known to u_rad.
-
-    The data are silent on a sensor's slide along the turn and on its turns about the axle and the radial direction: they
-    tilt the sensing plane against the measured direction, and that is known from the rig's make only.
-    """
-    return abs(angle_rad) * u_rad + 0.5 * u_rad**2
 
 
 def absolute(

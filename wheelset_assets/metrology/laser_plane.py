@@ -133,13 +133,23 @@ class Sensing:
     @property
     def u_cosine(self) -> float:
         """Standard uncertainty of the cosine of the angle: of lengths along the axle."""
-        return float(np.hypot(self.yaw_rad * self.u_yaw_rad, self.u_yaw_rad**2 / np.sqrt(2.0)))
+        return half_square_uncertainty(self.yaw_rad, self.u_yaw_rad)
+
+    @property
+    def u_shrink(self) -> float:
+        """Standard uncertainty of the factor by which the offset shortens lengths along the radius."""
+        return half_square_uncertainty(self.offset_mm / self.radius_mm, self.u_offset_mm / self.radius_mm)
 
     @property
     def u_shear(self) -> float:
         """Standard uncertainty of the meridian's tilt by both together: offset times angle over radius."""
         both = (self.offset_mm * self.u_yaw_rad, self.u_offset_mm * self.yaw_rad, self.u_offset_mm * self.u_yaw_rad)
         return float(np.linalg.norm(both)) / self.radius_mm
+
+
+def half_square_uncertainty(value: float, u: float) -> float:
+    """Standard uncertainty of value^2 / 2, the bias of the square included: the cosine of a small angle."""
+    return float(np.hypot(value * u, np.sqrt(0.75) * u**2))
 
 
 def turned_to_axle(rig_from_sensor: Array, plane: LaserPlane, make: Make) -> tuple[Array, Sensing, bool]:

@@ -250,11 +250,7 @@ def silent_strain(source: Sensing, target: Sensing) -> tuple[float, float, float
     the axle at b shortens it by b^2 / 2 R^2 away from it, and both together shear it by b psi / R. No registration of
     rigid bodies takes that away.
     """
-    parts = [
-        (s.u_cosine, s.u_offset_mm * np.hypot(s.offset_mm, s.u_offset_mm / np.sqrt(2.0)) / s.radius_mm**2, s.u_shear)
-        for s in (source, target)
-    ]
-    along, away, shear = np.linalg.norm(parts, axis=0)
+    along, away, shear = np.linalg.norm([(s.u_cosine, s.u_shrink, s.u_shear) for s in (source, target)], axis=0)
     return float(along), float(away), float(shear)
 
 

@@ -43,7 +43,7 @@ FILTERING = Stage(
     run=run_filtered_clouds,
 )
 FEATURES = Stage(
-    version=2,
+    version=3,
     meaning="ISS keypoints (eq. 18-19) and FPFH descriptors (eq. 20-21)",
     scope="scan",
     inputs=("filtered_clouds", "stripe_statistics"),
@@ -53,7 +53,7 @@ FEATURES = Stage(
     run=run_features,
 )
 REGISTRATION = Stage(
-    version=5,
+    version=6,
     meaning="Coarse pose from matches (eq. 22-24), ICP (eq. 25-26) aware of degeneracy, check by frequency, fused meridians",
     scope="scan",
     inputs=("filtered_clouds", "stripe_statistics", "features"),
@@ -73,7 +73,7 @@ ALIGNMENT = Stage(
     run=run_alignments,
 )
 MEASUREMENT = Stage(
-    version=5,
+    version=6,
     meaning="Quantities at 20 °C against the master wheelset, each with its uncertainty budget (eq. 28)",
     scope="scan",
     inputs=("filtered_clouds", "stripe_statistics", "registrations", "alignments", "calibrations"),

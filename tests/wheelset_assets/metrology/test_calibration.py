@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from two_sided import assert_pulls, mean_square_interval
 
 from wheelset_assets.metrology import calibration as cal
-from wheelset_assets.metrology.uncertainty import scale_uncertainty
+from wheelset_assets.metrology.point_uncertainty import scale_uncertainty
 from wheelset_assets.quality import AlgorithmFailed
 
 SIZE = (640, 800)

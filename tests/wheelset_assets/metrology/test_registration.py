@@ -17,6 +17,7 @@ from two_sided import assert_pulls, assert_unbiased
 
 from wheelset_assets.metrology import registration as reg
 from wheelset_assets.metrology import rigid
+from wheelset_assets.metrology.laser_plane import Sensing
 from wheelset_assets.metrology.revolution import meridian_motion
 from wheelset_assets.quality import AlgorithmFailed
 
@@ -265,29 +266,34 @@ def test_a_strain_that_is_not_known_counts():
         assert_pulls(column)
 
 
-def test_the_silent_strain_is_that_of_turned_sensors():
-    """Two sensors, each turned by a rotation vector in a ball of one degree, its plane within 3 mm of the axle.
+def test_the_silent_strain_is_that_of_planes_beside_the_axle():
+    """Two sensing planes, each at a distance from the axle and at an angle with it that are known to a part only.
 
-    The meridian of a planar section at the distance b, turned by psi: lateral xi cos psi, radius hypot(h, b + xi sin psi);
-    its derivatives in the middle of what is seen, against the section's own lengths.
+    The meridian of a section at the distance b, turned by psi: lateral xi cos psi, radius hypot(h, b + xi sin psi); its
+    derivatives in the middle of what is seen, against those of the planes that are believed in.
     """
-    random = np.random.default_rng(6)
-    vectors = random.standard_normal((2, 200_000, 3))
-    vectors *= (
-        np.radians(1.0) * random.random((2, 200_000, 1)) ** (1 / 3) / np.linalg.norm(vectors, axis=2, keepdims=True)
-    )
-    psi, b, height = vectors[..., 0], random.uniform(-3.0, 3.0, (2, 200_000)), 460.0
+    random, height = np.random.default_rng(6), 460.0
+    known = [Sensing(height, *numbers) for numbers in ((0.0, 0.0, 1.7, 4e-3), (1.5, 6e-3, 1.2, 5e-3))]
 
-    def section(xi, h):
-        return xi * np.cos(psi), np.hypot(h, b + xi * np.sin(psi))
+    def strains(b, psi, step=0.5):
+        def section(xi, h):
+            return xi * np.cos(psi), np.hypot(h, b + xi * np.sin(psi))
 
-    step = 0.5
-    along = (section(step, height)[0] - section(-step, height)[0]) / (2 * step)
-    away = (section(0, height + step)[1] - section(0, height - step)[1]) / (2 * step)
-    shear = (section(step, height)[1] - section(-step, height)[1]) / (2 * step)
-    found = reg.silent_strain(np.radians(1.0), 3.0, height)
-    for component, u in zip((along, away, shear), found, strict=True):
-        assert np.std(component[0] - component[1]) == pytest.approx(u, rel=0.02)
+        return (
+            section(step, height)[0] - section(-step, height)[0],
+            section(0, height + step)[1] - section(0, height - step)[1],
+            section(step, height)[1] - section(-step, height)[1],
+        )
+
+    errors = []
+    for s in known:
+        b, psi = (
+            mean + u * random.standard_normal(200_000)
+            for mean, u in ((s.offset_mm, s.u_offset_mm), (s.yaw_rad, s.u_yaw_rad))
+        )
+        errors.append(np.array(strains(b, psi)) - np.array(strains(s.offset_mm, s.yaw_rad))[:, None])
+    for component, u in zip(zip(*errors, strict=True), reg.silent_strain(*known), strict=True):
+        assert np.sqrt(np.mean(component[0] ** 2) + np.mean(component[1] ** 2)) == pytest.approx(u, rel=0.02)
 
 
 def test_the_three_silent_directions_stay_where_the_nominal_pose_holds_them():

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from wheelset_assets.metrology.point_uncertainty import scale_uncertainty
 from wheelset_assets.metrology.triangulation import Camera, StereoSensor
-from wheelset_assets.metrology.uncertainty import COVERAGE_FACTOR, Source, combined, scale_uncertainty
+from wheelset_assets.metrology.uncertainty import COVERAGE_FACTOR, Source, combined
 
 NAMES = (
     "left_f", "left_cx", "left_cy", "left_k1", "right_fx", "right_fy", "right_cx", "right_cy", "right_k1", "right_p1",
