@@ -131,19 +131,24 @@ def tell(
     title: str, headings: Sequence[str], lines: Sequence[Sequence[str]], notes: Sequence[str], places: dict[str, str],
     document: dict[str, Any], as_json: bool,
 ) -> None:  # fmt: skip
-    """The table, its notes and where the files lie; or one JSON document."""
+    """The table, its notes and where the files lie; or one JSON document. A line of one cell begins a section."""
     if as_json:
         print_json(document | {"files": places})
         return
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
-    for heading in headings:
-        table.add_column(heading, justify="right")
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for k, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if k else "left", overflow="fold")
     for line in lines:
-        table.add_row(*line)
-    Console().print(table)
+        if len(line) == 1:
+            table.add_section()
+            table.add_row(line[0], style="bold")
+        else:
+            table.add_row(*line)
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
     for note in notes:
         print(note)
     print("written: " + ", ".join(places.values()))

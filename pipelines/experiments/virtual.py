@@ -134,6 +134,18 @@ def _world(series: str, seed: int, rig: int, rows: int, frames: int, profile: st
     return World(SERIES[series], seed + 1000 * rig, rows, frames, profile)
 
 
+def _knowing(series: Series) -> Config:
+    """The default configuration, with what a series knows of thermometers and expansion."""
+    base = Config()
+    known = {
+        "thermometer_wheelset_u_c": series.thermometer_c,
+        "thermometer_rig_u_c": series.thermometer_c,
+        "expansion_wheelset_u_per_k": series.expansion_u_per_k,
+        "expansion_rig_u_per_k": series.expansion_u_per_k,
+    }
+    return base.model_copy(update={"measurement": base.measurement.model_copy(update=known)})
+
+
 @dataclass(frozen=True)
 class Seen:
     """A scan up to its points: header, and the tables of stage 2. wheelset and conditions are the truth behind it."""
@@ -149,7 +161,7 @@ class World:
 
     def __init__(self, series: Series, seed: int, rows: int, frames: int, profile: str, preset: str = "bench") -> None:
         rng = np.random.default_rng([seed, 2])
-        self.series, self.seed, self.frames, self.config = series, seed, frames, Config()
+        self.series, self.seed, self.frames, self.config = series, seed, frames, _knowing(series)
         expansion = 11.5e-6 + series.expansion_u_per_k * rng.standard_normal()
         self.true: Rig = build_rig(seed, preset, "bench-1", rows, expansion)
         declared = {**self.true.declaration(), "expansion_per_k": 11.5e-6}
@@ -163,7 +175,7 @@ class World:
                 "quantity": q,
                 "side": side,
                 "value_mm": value + series.certificate_scale * CERTIFICATE_U_MM[q] / 2 * rng.standard_normal(),
-                "expanded_uncertainty_mm": CERTIFICATE_U_MM[q],
+                "expanded_uncertainty_mm": series.certificate_scale * CERTIFICATE_U_MM[q],
             }
             for (q, side), value in sorted(master.truths().items())
             if q in CERTIFICATE_U_MM

@@ -112,7 +112,7 @@ def levers(
     known = bool(fields)
     return [
         Lever(
-            {view: tuple(map(float, steps[:, i])) for view, steps in views.items()},
+            {view: (float(k[0, i]), float(k[1, i]), float(k[2, i])) for view, k in views.items()},
             float(tilt[i]),
             float(stretch[i]),
             float(np.sqrt(square[i])) if known else None,
