@@ -38,6 +38,9 @@ def accuracy(
         ),
     ] = "both",
     frames: Annotated[int, typer.Option("--frames", min=16, help="Frames a turn")] = 120,
+    reference_frames: Annotated[
+        int, typer.Option("--reference-frames", min=16, help="Frames of each rig's reference scan")
+    ] = 240,
     rows: Annotated[int, typer.Option("--rows", min=128, help="Image rows of the tallest sensor")] = 1024,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes")] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Seed; the draws' numbers decide the rest")] = 20251,
@@ -58,7 +61,7 @@ def accuracy(
     names = list(SERIES) if series == "both" else [series]
     if unknown := [n for n in names if n not in SERIES]:
         raise ConfigError(f"--series {unknown[0]}: known are {', '.join(SERIES)} and both")
-    jobs = [Job(name, index, seed, rows, frames) for name in names for index in range(draws)]
+    jobs = [Job(name, index, seed, rows, frames, reference_frames) for name in names for index in range(draws)]
     errors = computed(run_draw, jobs, workers)
     summary = summarised(errors)
     places = write(summary, _drawn(errors, names), out, "accuracy", figure)

@@ -63,6 +63,8 @@ class Job:
     seed: int
     rows: int
     frames: int
+    reference_frames: int | None = None
+    """Frames of the rig's reference scan; as many as the draw's own if not given."""
 
 
 def run_draw(job: Job) -> list[dict[str, Any]]:
@@ -115,7 +117,8 @@ def drawn(job: Job) -> Draw:
     series = SERIES[job.series]
     rng = np.random.default_rng([job.seed, job.index, 1])
     profile = ("S1002", "LMA")[job.index % 2]
-    world = _world(job.series, job.seed, job.index // series.draws_a_rig, job.rows, job.frames, profile)
+    turns = (job.frames, job.reference_frames or job.frames)
+    world = _world(job.series, job.seed, job.index // series.draws_a_rig, job.rows, turns, profile)
     defect = DEFECTS[(job.index // 2) % len(DEFECTS)]
     wheelset = draw_wheelset(job.seed + 7, job.index, "W", profile)
     size = float(rng.uniform(-19.0, 19.0))  # within 20 mm of the master
@@ -130,8 +133,8 @@ def drawn(job: Job) -> Draw:
 
 
 @lru_cache(maxsize=2)
-def _world(series: str, seed: int, rig: int, rows: int, frames: int, profile: str) -> World:
-    return World(SERIES[series], seed + 1000 * rig, rows, frames, profile)
+def _world(series: str, seed: int, rig: int, rows: int, turns: tuple[int, int], profile: str) -> World:
+    return World(SERIES[series], seed + 1000 * rig, rows, turns[0], profile, reference_frames=turns[1])
 
 
 def _knowing(series: Series) -> Config:
@@ -159,9 +162,19 @@ class Seen:
 class World:
     """One rig with its calibration, its master's certificate and the reference scan."""
 
-    def __init__(self, series: Series, seed: int, rows: int, frames: int, profile: str, preset: str = "bench") -> None:
+    def __init__(
+        self,
+        series: Series,
+        seed: int,
+        rows: int,
+        frames: int,
+        profile: str,
+        preset: str = "bench",
+        reference_frames: int | None = None,
+    ) -> None:
         rng = np.random.default_rng([seed, 2])
-        self.series, self.seed, self.frames, self.config = series, seed, frames, _knowing(series)
+        self.series, self.seed, self.config = series, seed, _knowing(series)
+        self.frames = {"production": frames, "reference": reference_frames or frames}
         expansion = 11.5e-6 + series.expansion_u_per_k * rng.standard_normal()
         self.true: Rig = build_rig(seed, preset, "bench-1", rows, expansion)
         declared = {**self.true.declaration(), "expansion_per_k": 11.5e-6}
@@ -322,6 +335,11 @@ class World:
             }
         )
 
+    def _angles(self, header: bundle.ScanHeader) -> np.ndarray:
+        """Angles (frames,) of a scan in degrees."""
+        n = self.frames[header.purpose]
+        return np.arange(n) * 360.0 / n
+
     def _triangulated(
         self,
         wheelset: Wheelset,
@@ -333,7 +351,7 @@ class World:
         rig: Rig,
     ) -> dict[str, pa.Table]:
         """Stage 2 over the noisy stripes of a scan."""
-        angle = np.arange(self.frames) * 360.0 / self.frames
+        angle = self._angles(header)
         keep = np.flatnonzero(angle >= gap_deg)
         noise = replace(NoiseModel(), outlier_share=0.01) if outliers else NoiseModel()
         seen = {}
@@ -377,14 +395,13 @@ class World:
             name: reference[name.removeprefix("reference_")] if reference else None
             for name in stages.MEASUREMENT.optional_inputs
         }
-        angle = np.arange(self.frames) * 360.0 / self.frames
         return dict(
             stages.MEASUREMENT.run(
                 **_named(stages.MEASUREMENT, known),
                 **held,
                 rig=self.rig,
                 scan=header,
-                frames=raw.Frames(angle),
+                frames=raw.Frames(self._angles(header)),
                 reference=raw.Reference(
                     self.master.header if reference else None, None if reference else "no reference"
                 ),

@@ -25,6 +25,9 @@ from wheelset_assets.metrology.windows import (
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
+SHAPE_ROWS = 9
+"""Rows in a row that are off alike are no outliers: single points are wrong by chance, one in some hundred."""
+
 
 def range_gate(depth_mm: Array, margin_mm: float) -> Mask:
     """True for points (frames, rows) whose depth lies outside the 1st to 99th percentile by more than margin_mm."""
@@ -62,9 +65,23 @@ def outliers(depth_mm: Array, sigmas: float, window_rows: int) -> Mask:
             here -= running_mean(clipped, window_rows)
         scale = _block_scatter(residual, block=64)
     limit = sigmas * np.maximum(scale, 1e-6)
-    np.abs(residual, out=residual)
     with np.errstate(invalid="ignore"):
-        return residual > limit
+        hit = np.abs(residual) > limit
+    return _without_shapes(hit, residual, limit)
+
+
+def _without_shapes(hit: Mask, residual: Array, limit: Array) -> Mask:
+    """Outliers less those that stand together: a flat or a patch of dirt is a shape, which is judged by its frames.
+
+    A run of at least SHAPE_ROWS hits is one where each lies within the limit of the run's median about it.
+    """
+    frames = np.flatnonzero(hit.sum(axis=1) >= SHAPE_ROWS)
+    if frames.size:
+        run = hit[frames] & ~isolated(hit[frames], SHAPE_ROWS)
+        here = np.where(run, residual[frames], np.nan)
+        with np.errstate(invalid="ignore"):
+            hit[frames] &= ~(np.abs(here - row_window_median(here, SHAPE_ROWS)) <= limit)
+    return hit
 
 
 def _block_scatter(residual: Array, block: int) -> Array:

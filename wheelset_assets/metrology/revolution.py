@@ -18,6 +18,11 @@ from wheelset_assets.metrology.grids import blocks, nan_mean, nan_median
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
+EDGE_SIGMAS = 2.5
+"""A frame beside excluded ones is excluded from so many robust scatters on, if it is off to the same side."""
+EDGE_FRAMES = 4
+"""So many on either side at most."""
+
 
 @dataclass(frozen=True)
 class MeridianGrid:
@@ -242,6 +247,7 @@ def fit_harmonics(angle_deg: Array, values: Array, order: int, exclude_sigmas: f
     order = int(max(0, min(order, (seen.sum() // 3 - 1) // 2, np.floor(270.0 / gap) if gap > 0 else order)))
     used = _robust_use(angle_deg, values, seen, min(order, 2), 1.5 * exclude_sigmas)
     used = _robust_use(angle_deg, values, used, order, exclude_sigmas)
+    used = _without_edges(angle_deg, values, seen, used, order)
     design = _harmonic_design(angle_deg, order)
     if used.sum() < max(4, design.shape[1] + 2):
         return None
@@ -300,6 +306,35 @@ def _robust_use(angle_deg: Array, values: Array, allowed: Mask, order: int, sigm
             break
         used = now
     return used
+
+
+def _without_edges(angle_deg: Array, values: Array, seen: Mask, used: Mask, order: int) -> Mask:
+    """Frames less those beside an excluded one that are off the same way, and those beside a run of excluded ones.
+
+    Dirt and flats taper off at their ends; what is left of them there would bend the harmonics over the gap.
+    """
+    design = _harmonic_design(angle_deg, order)
+    turn = np.argsort(angle_deg % 360.0, kind="stable")
+    used = used.copy()
+    for _ in range(EDGE_FRAMES):
+        freedom = used.sum() - design.shape[1]
+        if freedom < 2 or used.sum() == seen.sum():
+            return used
+        coefficients = np.linalg.lstsq(design[used], values[used], rcond=None)[0]
+        residual = np.where(seen, values - design @ coefficients, 0.0)
+        scatter = 1.4826 * float(np.median(np.abs(residual[used]))) * np.sqrt(used.sum() / freedom)
+        off = np.where(seen & ~used, np.sign(residual), 0.0)[turn]
+        beside = np.zeros(len(values), bool)
+        for step in (-1, 1):
+            beside[turn] |= np.roll(off, step) * residual[turn] > EDGE_SIGMAS * scatter
+        if not (beside & used).any():
+            break
+        used &= ~beside
+    out = (seen & ~used)[turn]
+    run = out & np.roll(out, 1) & np.roll(out, -1)
+    ends = np.zeros(len(values), bool)
+    ends[turn] = np.roll(run, 2) | np.roll(run, -2)
+    return used & ~ends
 
 
 def _less_noise(cosine: Array, sine: Array, variance: Array) -> Array:

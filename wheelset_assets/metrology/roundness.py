@@ -155,6 +155,9 @@ def level_db(amplitude_um: Array) -> Array:
         return 20.0 * np.log10(amplitude_um / np.sqrt(2.0))
 
 
+EDGE_SCATTERS = 2.5
+
+
 @dataclass(frozen=True)
 class Flat:
     """A wheel flat as a chord of the tread: place of its middle, length along the tread and depth."""
@@ -172,12 +175,13 @@ def find_flats(
 ) -> list[Flat]:
     """Flats among frames that were excluded from the turn's harmonics, deepest first.
 
-    deviation_mm (n,): radius less its harmonics. A run of excluded frames that lie below them is fitted by a chord,
+    deviation_mm (n,): radius less its harmonics; frames that are excluded for their neighbours alone lie about it and
+    belong to no flat. A run of excluded frames that lie below them is fitted by a chord,
     delta(x) = (x - x0)^2 / D - depth over the arc x: its curvature is known, so two frames suffice. Its length is
     2 sqrt(D depth).
     """
     order = np.argsort(body_deg, kind="stable")
-    low = (excluded & (deviation_mm < 0))[order]
+    low = (excluded & (deviation_mm < -EDGE_SCATTERS * scatter_mm))[order]
     if not low.any():
         return []
     step_deg = float(np.median(np.diff(np.sort(body_deg))))

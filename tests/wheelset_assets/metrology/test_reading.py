@@ -152,11 +152,11 @@ def test_a_radius_is_measured_from_the_face_of_the_same_meridian():
 
 
 def test_dirt_on_the_tread_is_left_out_everywhere():
-    """0.15 mm over 25 degrees: neither diameter nor flange height move, and the share left out is said."""
+    """0.15 mm over 18 degrees: neither diameter nor flange height move, and the share left out is said."""
     pulls = []
     for seed in range(20):
         angle, grids = wheel(np.random.default_rng(100 + seed))
-        dirty = np.mod(angle - 30, 360) < 25
+        dirty = np.mod(angle - 30, 360) < 18
         for grid, part in zip(grids, (INNER, OUTER), strict=True):
             on_tread = part[:, 0] > -25
             grid.radial_mm[np.ix_(dirty, on_tread)] += 0.15
@@ -165,8 +165,10 @@ def test_dirt_on_the_tread_is_left_out_everywhere():
         used = next(t for t in found.turns if t.series == "tread_radius").used
         assert not used[dirty].any()
         diameter = values["wheel_diameter"]
-        assert diameter.excluded_ratio == pytest.approx(dirty.mean(), abs=0.03)
-        assert diameter.flags & Flag.OUTLIERS == Flag.NONE  # 7 %: under the share that is flagged
+        beside = (~used[~dirty]).sum()  # one frame at either end of the dirt, and by chance one that is off
+        assert 2 <= beside <= 5
+        assert diameter.excluded_ratio == pytest.approx(dirty.mean() + beside / len(angle))
+        assert diameter.flags & Flag.OUTLIERS == Flag.NONE  # 5 % and its ends: under the share that is flagged
         pulls.append(
             [(values[n].value - WHEEL_TRUTH[n]) / values[n].u_noise for n in ("wheel_diameter", "flange_height")]
         )

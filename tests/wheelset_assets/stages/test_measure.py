@@ -53,6 +53,24 @@ def test_every_quantity_has_one_row_with_value_xor_reason(product):
         assert row["acquired_on"] == dt.date(2025, 4, 5)
 
 
+def test_a_flat_goes_through_all_stages(world):
+    """60 mm long, 1 mm deep: of 48 frames one or two see it. Neither filter nor fit may take it for noise."""
+    wheelset = draw_wheelset(SEED, 9, "WS-009", "S1002")
+    wheels = (wheelset.wheels[0].with_flat(2.0, 60.0), wheelset.wheels[1])
+    wheelset = replace(wheelset, wheels=wheels)
+    found = world.process(world.scan(wheelset, 40, frames=180), world.reference)
+    truth = wheelset.truths()
+    for name in ("flat_depth", "flat_length", "wheel_diameter"):
+        row = one(found.measurements, quantity=name, side="left")
+        u = row["expanded_uncertainty"] / COVERAGE_FACTOR
+        assert abs(row["value"] - truth[name, "left"]) < 3.3 * u, name
+        assert "not_detected" not in row["quality_flags"]
+    assert one(found.measurements, quantity="flat_depth", side="left")["value"] > 0.9
+    assert "not_detected" in one(found.measurements, quantity="flat_depth", side="right")["quality_flags"]
+    deepest = one(found.wheel_flats, side="left", number=1)
+    assert deepest["n_frames"] >= 2
+
+
 def test_zeroed_quantities_against_the_truth_two_sided(several):
     """Diameters and distances of four wheelsets: all within three standard uncertainties, and not all within a tenth.
 
