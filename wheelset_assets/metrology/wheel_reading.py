@@ -71,6 +71,7 @@ TREAD_QUANTITIES = (
 WHEEL_READINGS = (*FACE_QUANTITIES, *TREAD_QUANTITIES)
 MIN_RIM_MM = 100.0
 """The outer face lies at least this far from the inner face."""
+HOLLOW_STEP_MM = 0.5
 CHAMFER_SLOPE = 0.4
 """Where the tread falls steeper than this towards the field side, the chamfer begins."""
 
@@ -354,13 +355,13 @@ class _Wheel:
         """Largest rise of the tread towards the field side between the datum circle and the chamfer."""
         m, settings = self.meridians, self.settings
         places, heights = [], []
-        for place in np.arange(settings.definition.datum_mm, settings.hollow_to_mm + 0.1, 2.0):
+        for place in np.arange(settings.definition.datum_mm, settings.hollow_to_mm + 0.1, HOLLOW_STEP_MM):
             fit = local_fit(self.s, m.radial, m.weight, float(place), 2.5, 2)
             if fit is None or fit.coefficients[-2] / fit.half_width < -CHAMFER_SLOPE:
                 break
             places.append(float(place))
             heights.append(fit.value)
-        if len(places) < 8:
+        if len(places) * HOLLOW_STEP_MM < 16.0:
             return refuse(("tread_hollow",), self.side, "the tread outside the datum circle was not seen")[0]
         z = np.array(heights)
         lowest = np.minimum.accumulate(z)

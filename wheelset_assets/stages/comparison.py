@@ -367,9 +367,6 @@ class Comparison:
         face = "face_lateral" if kind == "wheel" else "shoulder_lateral"
         moved = self._pair(face, side)
         cross = moved[0].value - moved[1]["reading"] if not isinstance(moved, str) else 1.0
-        if quantity in ("journal_diameter_inner", "journal_diameter_outer"):
-            # A section lies aside of the cylinder's middle, from which the certified diameter is taken.
-            cross = abs(cross) + 0.5 * float(np.ptp(self.config.journal_sections_mm))
         indication = (
             reading.value + certified.value_mm * self.conditions.master_growth - base["reading"]
         )  # the rest of K: nanometres
@@ -388,6 +385,10 @@ class Comparison:
             [part],
             2.0,
         )
+        if quantity in ("journal_diameter_inner", "journal_diameter_outer"):
+            # A section lies aside of the cylinder's middle, of which the certificate holds and which squares the station.
+            aside = float(np.ptp(self.config.journal_sections_mm))  # half of it, and both radii
+            value.sources.append(Source("squareness to the axle", part.tilt_u_rad, "rad", aside))
         return value, None, reading.flags | self.moved.get(station.station, Flag.NONE)
 
     def _distance(self, quantity: str) -> Result:
@@ -462,7 +463,7 @@ class Comparison:
             calibration,
             float(np.linalg.norm(registration)),
             self.zero.u_squaring_rad.get(station.station, 1e-3),
-            sensing.u_shear,
+            sensing.u_shear if station.kind == "wheel" else 0.0,  # a journal is squared by itself
             lever.tilt_mm,
             sensing.u_cosine,
             lever.stretch_mm,
