@@ -41,8 +41,8 @@ def filters() -> dict[str, Config]:
     base = Config()
     changes: dict[str, dict[str, Any]] = {
         "none": {"smoothing": "none"},
-        "median 5": {"smoothing": "median"},
-        "mean 5": {"smoothing": "mean"},
+        "median, 5 rows": {"smoothing": "median", "window_rows": 5},
+        "mean, 5 rows": {"smoothing": "mean", "window_rows": 5},
         "gaussian": {"smoothing": "gaussian"},
         "gaussian, sigma 2, 9 rows": {"smoothing": "gaussian", "gaussian_sigma_rows": 2.0, "window_rows": 9},
         "quadratic": {},

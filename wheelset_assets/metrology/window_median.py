@@ -17,6 +17,8 @@ from wheelset_assets.metrology.windows import Smoothed, noise_factor
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
+FADING = 0.4
+
 
 def median_smoothed(values: Array, half_rows: int, half_frames: int, correlation: float) -> Smoothed:
     """Median over the window, of the neighbours that are joined to the point, and whose mirror images are, by a path
@@ -144,12 +146,12 @@ class _MedianClaim:
     def fading(self, rise: Array, run: Array | float = 1.0) -> list[Array]:
         """How much a neighbour 0, 1 ... half_rows away counts on a slope rise / run (mm a row); `rise` is overwritten."""
         lags = np.arange(1, self.half_rows + 1)
-        # A slope that noise alone would show, up to two standard deviations, is none.
+        # What noise alone shows as a slope is none; FADING is fitted to what medians of lines in noise really leave.
         rise /= run * self.noise
         np.square(rise, out=rise)
-        rise -= 4.0 / max(2.0 * float((lags**2).sum()), 1.0)
+        rise -= 2.0 / max(2.0 * float((lags**2).sum()), 1.0)
         np.maximum(rise, 0.0, out=rise)
-        rise *= -0.125
+        rise *= -FADING
         first = np.exp(rise, out=rise)
         made, square, odd = [np.ones((1,) * rise.ndim), first], first * first, first
         for _ in lags[1:]:

@@ -290,8 +290,8 @@ def smoothed_slowly(depth, kind, half, sigma_rows, range_mm, edge_mm, correlatio
             continue
         value[f, r] = np.median(z)
         slope = (at @ z) / max((at**2).sum(), 1) / noise
-        flat = 4 / max((np.arange(-half, half + 1) ** 2).sum(), 1)
-        count = np.exp(-(at**2) * max(slope**2 - flat, 0) / 8).sum()
+        flat = 2 / max((np.arange(-half, half + 1) ** 2).sum(), 1)
+        count = np.exp(-0.4 * at**2 * max(slope**2 - flat, 0)).sum()
         n = [int(np.floor(count)), int(np.floor(count)) + 1]
         means = [correlation ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))) for m in n]
         along = np.interp(count, n, [np.sqrt(m.mean()) for m in means])
@@ -356,6 +356,18 @@ def test_windows_of_one_change_nothing(kind):
     found = filtering.smooth(depth, kind, window_rows=1, window_frames=1, sigma_rows=1.0)
     assert np.array_equal(found.depth_mm, depth, equal_nan=True)
     assert np.array_equal(found.noise_factor, [[1.0, np.nan, 1.0, 1.0]], equal_nan=True)
+
+
+@pytest.mark.parametrize("window", [3, 5, 7, 9])
+@pytest.mark.parametrize("slope", [0.0, 0.3, 0.7, 1.0, 1.4, 2.0, 4.0])
+def test_a_median_leaves_what_it_claims_on_every_slope(window, slope):
+    """Slope in standard deviations of the noise a row: from averaging freely to letting each point be."""
+    line = slope * np.arange(300.0)
+    depth = line + np.random.default_rng(3).standard_normal((200, 300))
+    found = filtering.smooth(depth, "median", window_rows=window, window_frames=1, sigma_rows=1.5)
+    inside = np.s_[:, 10:-10]
+    left = np.std((found.depth_mm - line)[inside])
+    assert 0.95 < left / np.mean(found.noise_factor[inside]) < 1.08
 
 
 def test_a_median_claims_nothing_on_a_slope_that_is_steeper_than_the_noise():
