@@ -1,4 +1,4 @@
-"""Keypoints of each station's sensors in the meridian, at their nominal poses, and which pairs the registration brings together.
+"""Keypoints of each station's sensors in the meridian, before registration, and which pairs it brings together.
 
 Matches are not stored, only their number; the lines here follow from the stored pose, not from the descriptors.
 """
@@ -50,7 +50,7 @@ def _drawn(places: Array) -> Array:
 
 
 def _profile(canvas: Canvas, path: str, station: str) -> None:
-    """The fused profile in grey: in the first sensor's nominal pose, so that the others' keypoints lie off it by their correction."""
+    """The fused profile in grey: in the first sensor's pose, so that the others' keypoints lie off it by their correction."""
     table = canvas.source.table("fused_profiles")
     if table is None:
         return

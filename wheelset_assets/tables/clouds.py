@@ -153,9 +153,9 @@ FEATURES = Table(
     columns=(
         Column("sensor_id", "string", "Stereo sensor of the rig"),
         Column("keypoint", "int32", "Number of the keypoint within its sensor", minimum=0),
-        Column("x_mm", "float64", "Rig frame, nominal pose", unit="mm"),
-        Column("y_mm", "float64", "Rig frame, nominal pose", unit="mm"),
-        Column("z_mm", "float64", "Rig frame, nominal pose", unit="mm"),
+        Column("x_mm", "float64", "Rig frame, pose before registration", unit="mm"),
+        Column("y_mm", "float64", "Rig frame, pose before registration", unit="mm"),
+        Column("z_mm", "float64", "Rig frame, pose before registration", unit="mm"),
         Column(
             "saliency_mm2", "float64", "Smallest eigenvalue of the weighted scatter (eq. 19)", unit="mm^2", minimum=0
         ),

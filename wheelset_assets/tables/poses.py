@@ -78,21 +78,21 @@ REGISTRATIONS = Table(
         Column(
             "correction_lateral_mm",
             "float64",
-            "Correction of the nominal pose along the axle",
+            "Correction along the axle of the pose that rig and laser plane give",
             unit="mm",
             nullable=True,
         ),
         Column(
             "correction_radial_mm",
             "float64",
-            "Correction of the nominal pose away from the axle",
+            "The same correction away from the axle",
             unit="mm",
             nullable=True,
         ),
         Column(
             "correction_meridian_deg",
             "float64",
-            "Correction of the nominal rotation in the meridian plane",
+            "The same correction in the meridian plane",
             unit="deg",
             nullable=True,
         ),
@@ -153,7 +153,7 @@ REGISTRATIONS = Table(
 FUSED_PROFILES = Table(
     name="fused_profiles",
     version=1,
-    meaning="Mean meridian of each station by sensor, laser line and image row, in the first sensor's nominal rig pose",
+    meaning="Mean meridian of each station by sensor, laser line and image row, in the first sensor's pose before registration",
     layout="scan",
     key=("station", "sensor_id", "line", "row"),
     columns=(
