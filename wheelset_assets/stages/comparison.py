@@ -389,6 +389,9 @@ class Comparison:
             # A section lies aside of the cylinder's middle, of which the certificate holds and which squares the station.
             aside = float(np.ptp(self.config.journal_sections_mm))  # half of it, and both radii
             value.sources.append(Source("squareness to the axle", part.tilt_u_rad, "rad", aside))
+            names = {s.sensor_id for s in self.rig.station_sensors(station.station)}
+            radial = max((u[1] for view, u in self.zero.registration_u.items() if view[0] in names), default=0.0)
+            value.sources.append(Source("registration of the sensors", radial, "mm", 1.0))  # half of it, and both radii
         return value, None, reading.flags | self.moved.get(station.station, Flag.NONE)
 
     def _distance(self, quantity: str) -> Result:
@@ -441,11 +444,13 @@ class Comparison:
     def _standing(self, station: Station, quantity: str, reading: Reading) -> Standing:
         """What the station's geometry may be wrong in, and how a value within it follows.
 
-        Values without levers lie in one sensor's view and keep their size when it turns, but for a taper.
+        Values without levers lie in one sensor's view and keep their size when it turns, but for a journal's taper.
         """
         along, across = extent = _EXTENTS_MM.get(quantity, (abs(reading.value), 0.0))
         tilt_mm = sum(extent) if quantity in _EXTENTS_MM else 0.0
-        lever = reading.lever or Lever({}, tilt_mm, abs(reading.value), None)
+        # Of a journal that several sensors see, one end may lie in each: both radii follow.
+        apart = dict.fromkeys(self.zero.registration_u, (0.0, 2.0, 0.0)) if quantity == "journal_taper" else {}
+        lever = reading.lever or Lever(apart, tilt_mm, abs(reading.value), None)
         calibration = lever.u_calibration_mm
         if calibration is None:
             sensors = self.rig.station_sensors(station.station)
