@@ -72,6 +72,8 @@ WHEEL_READINGS = (*FACE_QUANTITIES, *TREAD_QUANTITIES)
 MIN_RIM_MM = 100.0
 """The outer face lies at least this far from the inner face."""
 HOLLOW_STEP_MM = 0.5
+HOLLOW_MISFIT = 2.5
+"""Parabolas whose points scatter about them by more than so many standard uncertainties say nothing of the tread."""
 CHAMFER_SLOPE = 0.4
 """Where the tread falls steeper than this towards the field side, the chamfer begins."""
 
@@ -359,6 +361,10 @@ class _Wheel:
             fit = local_fit(self.s, m.radial, m.weight, float(place), 2.5, 2)
             if fit is None or fit.coefficients[-2] / fit.half_width < -CHAMFER_SLOPE:
                 break
+            near = np.abs(self.s - place) <= fit.half_width
+            misfit = m.weight[near] * (m.radial[near] - fit(self.s[near])) ** 2
+            if misfit.mean() > HOLLOW_MISFIT**2:  # a chamfer's edge, which a parabola overshoots
+                continue
             places.append(float(place))
             heights.append(fit.value)
         if len(places) * HOLLOW_STEP_MM < 16.0:
