@@ -21,6 +21,7 @@ def rotation(
     station: StationOption = None,
     noise_um: Annotated[float, typer.Option("--noise-um", min=0, help="Noise added across both profiles")] = NOISE_MM
     * 1e3,
+    every: Annotated[int, typer.Option("--every", min=1, max=45, help="Only every so many-th angle: quicker")] = 1,
     seed: Annotated[int, typer.Option("--seed", help="Seed of that noise")] = 1,
     out: OutOption = None,
     figure: FigureOption = "png",
@@ -44,7 +45,7 @@ def rotation(
     random = np.random.default_rng(seed)
     rows: list[dict[str, Any]] = []
     for name, angles in (("0-360 by 5", np.arange(0.0, 361, 5)), ("0-90 by 1", np.arange(0.0, 91, 1))):
-        for angle in angles:
+        for angle in angles[::every]:
             moved, fixed = (curve + noise_um * 1e-3 * random.standard_normal(curve.shape) for _ in range(2))
             shift = random.uniform(-3, 3, 2)
             found = rotation_and_shift(turn(moved, angle) + shift, fixed)
