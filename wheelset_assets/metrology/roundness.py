@@ -156,6 +156,7 @@ def level_db(amplitude_um: Array) -> Array:
 
 
 EDGE_SCATTERS = 2.5
+"""Frames less deep than so many scatters belong to no flat."""
 
 
 @dataclass(frozen=True)

@@ -446,16 +446,15 @@ class Comparison:
 
         Values without levers lie in one sensor's view and keep their size when it turns, but for a journal's taper.
         """
-        along, across = extent = _EXTENTS_MM.get(quantity, (abs(reading.value), 0.0))
-        tilt_mm = sum(extent) if quantity in _EXTENTS_MM else 0.0
+        across = TAPER_MM if quantity == "journal_taper" else 0.0
         # Of a journal that several sensors see, one end may lie in each: both radii follow.
-        apart = dict.fromkeys(self.zero.registration_u, (0.0, 2.0, 0.0)) if quantity == "journal_taper" else {}
-        lever = reading.lever or Lever(apart, tilt_mm, abs(reading.value), None)
+        apart = dict.fromkeys(self.zero.registration_u, (0.0, 2.0, 0.0)) if across else {}
+        lever = reading.lever or Lever(apart, across, abs(reading.value), None)
         calibration = lever.u_calibration_mm
         if calibration is None:
             sensors = self.rig.station_sensors(station.station)
             scales = max((self.scales.get(s.sensor_id, (1e-3, 1e-3)) for s in sensors), default=(1e-3, 1e-3))
-            calibration = float(np.hypot(scales[0] * along, scales[1] * across))
+            calibration = float(np.hypot(scales[0] * (0.0 if across else abs(reading.value)), scales[1] * across))
         names = {s.sensor_id for s in self.rig.station_sensors(station.station)}
         registration = [
             float(step * u)
@@ -475,17 +474,8 @@ class Comparison:
         )
 
 
-_EXTENTS_MM = {
-    "flange_height": (28.0, 55.0),
-    "flange_thickness": (33.0, 40.0),
-    "qr": (11.0, 16.0),
-    "tread_wear": (28.0, 55.0),
-    "tread_hollow": (0.5, 40.0),
-    "rim_width": (135.0, 20.0),
-    "rollover": (1.0, 20.0),
-    "journal_taper": (0.0, 70.0),
-}
-"""Size of the part of the profile that a quantity spans, along the quantity and across it."""
+TAPER_MM = 70.0
+"""Length of a journal over which its taper is told, about."""
 
 
 def _within_one_sensor(value_mm: float) -> Standing:
