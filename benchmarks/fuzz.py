@@ -2,8 +2,8 @@
 
 For each example a good scan is spoilt in one or two ways (`mutations`), put beside a good rig, calibration and reference
 scan, and a night is run over them. It must not crash or hang, must write nothing outside the warehouse, and must leave a
-row for the scan. If the mutation kept the hashes valid, each value must be within its uncertainty of the good scan's,
-or carry a flag that the good one lacks, or be refused.  Every tenth example also builds the catalog and opens it.
+row for the scan. If the mutation kept the hashes valid, each value must be within its uncertainty of the good scan's or of
+the truth (frames in another order bring noise of their own), or carry a flag that the good one lacks, or be refused. Every tenth example also builds the catalog and opens it.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from benchmarks.mutations import MUTATIONS, seal
 from warehouse import catalog
@@ -42,6 +44,8 @@ CONFIG = Config.model_validate({"features": {"spacing_mm": 2.0}})
 """Coarser features: they decide nothing on a rim, and take half of an example's time."""
 Values = dict[tuple[str, str], tuple[float | None, float | None, frozenset[str]]]
 """Value, expanded uncertainty and flags by quantity and side."""
+Truth = dict[tuple[str, str], float]
+"""True value in mm by quantity and side."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ class Base:
     folder: Path
     scan_id: str
     values: Values
+    truth: Truth
 
     @property
     def inbox(self) -> Path:
@@ -86,12 +91,13 @@ def make_base(folder: Path, frames: int = 32, rows: int = 512) -> Base:
     simulate(SimulationPlan(out=folder / "inbox", wheelsets=1, repeats=1, seed=5, frames=frames, rows=rows))
     (scan,) = [p for p in sorted((folder / "inbox" / "scans").iterdir()) if p.name.startswith("WS-")]
     scan.rename(folder / "good")
-    base = Base(folder, scan.name, {})
+    truth = pq.read_table(folder / "inbox.truth.parquet", filters=[("scan_id", "=", scan.name)]).to_pylist()
+    base = Base(folder, scan.name, {}, {(row["quantity"], row["side"]): row["truth_mm"] for row in truth})
     run(base.inbox, base.warehouse)
     with _place(base) as place:
         shutil.copytree(base.good, place / "inbox" / "scans" / base.scan_id)
         run(place / "inbox", place / "warehouse")
-        return Base(folder, scan.name, values(place / "warehouse", base.scan_id))
+        return replace(base, values=values(place / "warehouse", base.scan_id))
 
 
 def run(inbox: Path, warehouse: Path, catalogued: bool = True, workers: int = 0) -> Summary:
@@ -206,7 +212,7 @@ def _judge(base: Base, place: Path, summary: Summary, payload: bool) -> tuple[st
         return state, None if found[0]["reason"] else f"{state} without a reason"
     if summary.measured != 1:
         return "lost", f"the summary does not know it: {summary}"
-    return ("measured", None) if not payload else _compare(base.values, values(place / "warehouse", name))
+    return ("measured", None) if not payload else _compare(base, values(place / "warehouse", name))
 
 
 def _listed(folder: Path) -> bool:
@@ -222,10 +228,10 @@ def _readable(place: Path, names: int) -> str | None:
     return None if len(rows) == names else f"{len(rows)} rows in scan_status for {names} scans"
 
 
-def _compare(good: Values, found: Values) -> tuple[str, str | None]:
+def _compare(base: Base, found: Values) -> tuple[str, str | None]:
     """As U is a statement of probability: of the values one in twenty may be off by more than U, none by 1.5 times U."""
     outcome, off = "unchanged", []
-    for key, (value, u, flags) in good.items():
+    for key, (value, u, flags) in base.values.items():
         new, new_u, new_flags = found.get(key, (None, None, frozenset()))
         if new is None:
             outcome = "values refused" if value is not None else outcome
@@ -233,23 +239,36 @@ def _compare(good: Values, found: Values) -> tuple[str, str | None]:
             outcome = "flagged" if outcome != "values refused" else outcome
         elif value is not None and u is not None and new_u is not None:
             ratio = abs(new - value) / max(u, new_u, 1e-12)
-            if ratio > 1:
+            if ratio > 1 and abs(new - base.truth.get(key, np.inf)) <= new_u:
+                outcome = "U holds the truth" if outcome in ("unchanged", "within U") else outcome
+            elif ratio > 1:
                 off.append((ratio, f"{' '.join(key)}: {value:.4f} became {new:.4f}, U = {new_u:.4f}, without a flag"))
             outcome = "within U" if new != value and outcome == "unchanged" else outcome
-    if off and (max(off)[0] > 1.5 or len(off) > max(1, len(good) // 20)):
-        return "wrong", f"{len(off)} of {len(good)} values; {max(off)[1]}"
+    if off and (max(off)[0] > 1.5 or len(off) > max(1, len(base.values) // 20)):
+        return "wrong", f"{len(off)} of {len(base.values)} values; {max(off)[1]}"
     return outcome, None
 
 
 @cache
-def _open(folder: Path, scan_id: str) -> Base:
-    kept = json.loads((folder / "values.json").read_text())
-    return Base(folder, scan_id, {(q, s): (v, u, frozenset(f)) for q, s, v, u, f in kept})
+def _open(folder: Path) -> Base:
+    return restored(json.loads((folder / "base.json").read_text()), folder)
 
 
-def _work(job: tuple[Path, str, int, tuple[str, ...]]) -> Verdict:
-    folder, scan_id, seed, kinds = job
-    return example(_open(folder, scan_id), seed, kinds)
+def kept(base: Base) -> dict[str, Any]:
+    """What a process needs to judge by, as JSON can hold it."""
+    values = [[q, s, v, u, sorted(f)] for (q, s), (v, u, f) in base.values.items()]
+    return {"scan_id": base.scan_id, "values": values, "truth": [[*key, value] for key, value in base.truth.items()]}
+
+
+def restored(found: dict[str, Any], folder: Path) -> Base:
+    """The inverse of `kept`."""
+    values = {(q, s): (v, u, frozenset(f)) for q, s, v, u, f in found["values"]}
+    return Base(folder, found["scan_id"], values, {(q, s): value for q, s, value in found["truth"]})
+
+
+def _work(job: tuple[Path, int, tuple[str, ...]]) -> Verdict:
+    folder, seed, kinds = job
+    return example(_open(folder), seed, kinds)
 
 
 def main() -> int:
@@ -268,16 +287,15 @@ def main() -> int:
         folder = Path(name)
         print("simulating and processing the good scan …", file=sys.stderr)
         base = make_base(folder)
-        kept = [[q, s, v, u, sorted(f)] for (q, s), (v, u, f) in base.values.items()]
-        (folder / "values.json").write_text(json.dumps(kept))
+        (folder / "base.json").write_text(json.dumps(kept(base)))
         jobs = [
-            (folder, base.scan_id, options.seed + k, (options.kind[k % len(options.kind)],) if options.kind else ())
+            (folder, options.seed + k, (options.kind[k % len(options.kind)],) if options.kind else ())
             for k in range(options.examples)
         ]
         for n, (job, result) in enumerate(pool.run(_work, jobs), start=1):
             if isinstance(result, WorkerDied):
                 # A library ended the process, as on damaged files it may: a night has workers to lose, so it is tried there.
-                result = example(base, job[2], job[3], workers=1)
+                result = example(base, job[1], job[2], workers=1)
             elif isinstance(result, Exception):
                 raise result
             for kind in {text.split(":")[0] for text in result.what}:

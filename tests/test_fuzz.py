@@ -33,16 +33,20 @@ def test_a_spoilt_bundle_is_refused_flagged_or_changes_nothing_that_counts(base,
 
 
 def test_a_value_that_is_wrong_without_a_flag_is_noticed():
-    from benchmarks.fuzz import _compare
+    from benchmarks.fuzz import Base, _compare
 
-    good = {("wheel_diameter", "left"): (920.0, 0.005, frozenset())}
+    key = ("wheel_diameter", "left")
+    good = Base(Path(), "S", {key: (920.0, 0.005, frozenset())}, {key: 920.004})
     for value, flags, outcome in (
         (920.0, (), "unchanged"),
         (920.004, (), "within U"),
+        (920.0085, (), "U holds the truth"),
+        (919.9945, (), "within U"),  # one of few may, by less than 1.5 U
+        (919.992, (), "wrong"),
         (920.1, (), "wrong"),
         (920.1, ("sensor_moved",), "flagged"),
         (None, (), "values refused"),
     ):
-        found = {("wheel_diameter", "left"): (value, 0.005, frozenset(flags))}
+        found = {key: (value, 0.005, frozenset(flags))}
         assert _compare(good, found)[0] == outcome
         assert (_compare(good, found)[1] is not None) == (outcome == "wrong")

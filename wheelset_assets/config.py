@@ -307,14 +307,14 @@ class MeasurementConfig(Section):
         description="A larger share of frames whose two cameras saw different instants, or were damaged, flags the station",
     )
     max_frame_pull: float = Field(
-        1.4,
+        1.25,
         gt=1,
         description="Frames that scatter about their laser plane by more than this multiple of their noise flag the station",
     )
     frame_scatter_floor_um: float = Field(
-        2.0,
+        0.5,
         gt=0,
-        description="Frames that scatter by less about their laser plane flag nothing: uneven rows leave a micrometre",
+        description="Frames that scatter by less about their laser plane flag nothing: it does no harm",
     )
     plane_floor_um: float = Field(
         8.0,

@@ -81,15 +81,13 @@ def _near_median(points: Array) -> NDArray[np.bool_]:
     return (np.abs(points - middle) <= 2 * reach).all(axis=1)
 
 
-def off_plane(plane: LaserPlane, points_mm: Array, u_mm: Array, sigmas: float, floor_mm: float) -> NDArray[np.bool_]:
+def off_plane(plane: LaserPlane, points_mm: Array, u_across_mm: Array, sigmas: float, floor_mm: float) -> NDArray[np.bool_]:
     """Which points (n, 3) lie farther from the plane than their noise explains; NaN points do not.
 
-    u_mm: standard uncertainty along the line of sight; what of it lies across the plane counts, and the plane's own
-    scatter, as laser sheets are a little bent.
+    u_across_mm: standard uncertainty across the plane (`off_plane_uncertainty`). The plane's own scatter counts too, as
+    laser sheets are a little bent.
     """
-    length = np.linalg.norm(points_mm, axis=-1)
-    across = np.abs(points_mm @ plane.normal) / length
-    limit = np.maximum(sigmas * np.hypot(u_mm * across, plane.rms_mm), floor_mm)
+    limit = np.maximum(sigmas * np.hypot(u_across_mm, plane.rms_mm), floor_mm)
     with np.errstate(invalid="ignore"):
         return np.abs(plane.offsets_mm(points_mm)) > limit
 

@@ -36,30 +36,30 @@ class FrameOffsets:
             return np.abs(self.offset_mm) > np.maximum(sigmas * self.u_mm, floor_mm)
 
     def scatter(self) -> tuple[float, float] | None:
-        """Robust standard deviation of the offsets in mm, and of offset over uncertainty, which is 1 where noise explains
-        it and more where most frames are off by a little, whatever single ones do. None for too few frames."""
+        """Standard deviation of the offsets in mm, and of offset over uncertainty, which is 1 where noise explains it and
+        more where most frames are off by a little, whatever single ones do. None for too few frames."""
         pulls = self.offset_mm / self.u_mm
-        return (
-            (robust_scatter(self.offset_mm), robust_scatter(pulls)) if np.isfinite(pulls).sum() >= MIN_FRAMES else None
-        )
+        with np.errstate(invalid="ignore"):
+            kept = np.abs(pulls - nan_median(pulls, axis=0)) <= CLIP_SIGMAS * max(robust_scatter(pulls), 1.0)
+        if kept.sum() < MIN_FRAMES:
+            return None
+        return float(self.offset_mm[kept].std(ddof=1)), float(pulls[kept].std(ddof=1))
 
 
 def frame_offsets(
-    plane: LaserPlane, points_mm: Array, good: NDArray[np.bool_], u_mm: Array, correlation_rows: float
+    plane: LaserPlane, points_mm: Array, good: NDArray[np.bool_], u_across_mm: Array, correlation_rows: float
 ) -> FrameOffsets | None:
     """Offsets of frames from points (frames, rows, 3), of which `good` (frames, rows) count; None for too few frames.
 
-    u_mm (frames, rows): standard uncertainty along the line of sight; correlation_rows: integral length of that noise
+    u_across_mm (frames, rows): standard uncertainty across the plane; correlation_rows: integral length of that noise
     along the rows. The median over the frames at each row takes the bend of the sheet and the calibration's error.
     """
     if len(points_mm) < MIN_FRAMES:
         return None
     offsets = np.where(good, plane.offsets_mm(points_mm), np.nan)
-    with np.errstate(invalid="ignore"):
-        across = np.abs(points_mm @ plane.normal) / np.linalg.norm(points_mm, axis=-1)
     shared = np.where(good.sum(axis=0) >= MIN_FRAMES, nan_median(offsets, axis=0), np.nan)
     rest = offsets - shared
-    sigma = np.maximum(u_mm * across, 1e-9)
+    sigma = np.maximum(u_across_mm, 1e-9)
     with np.errstate(invalid="ignore"):  # what is left of mismatches does not count, nor do a frame's own odd points
         seen = np.abs(rest - nan_median(rest, axis=1)[:, None]) <= CLIP_SIGMAS * sigma
     count = seen.sum(axis=1)

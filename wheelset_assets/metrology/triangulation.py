@@ -433,6 +433,32 @@ def point_covariance(
     return total
 
 
+def off_plane_uncertainty(
+    rectification: Rectification,
+    matched: MatchedStripe,
+    left_u: float,
+    right_u: float,
+    normal: Array,
+    neighbour_correlation: float = 0.0,
+) -> Array:
+    """Standard uncertainty (frames, rows) in mm across a plane of that normal (3,), sensor frame, first order.
+
+    A left centre's error moves a point along the right ray, a right centre's along the left ray: a sheet that lies along
+    one of the rays still sees the other's noise.
+    """
+    n = rectification.rectified_from_left @ np.asarray(normal, float)
+    z = rectification.baseline_mm / (matched.x_left - matched.x_right)
+    by_left, by_right = _across(n, matched.x_left, matched.y, z, rectification.baseline_mm)
+    ratio = matched.right_variance_ratio(neighbour_correlation)
+    return np.sqrt((by_left * left_u) ** 2 + (by_right * right_u) ** 2 * ratio)
+
+
+def _across(n: Array, x_left: Array, y: Array, z: Array, baseline_mm: float) -> tuple[Array, Array]:
+    """Change of a point's distance from a plane of rectified normal n with the left and with the right abscissa."""
+    by_right = (n[0] * x_left + n[1] * y + n[2]) * z * z / baseline_mm
+    return n[0] * z - by_right, by_right
+
+
 def triangulate_optimal(
     rectification: Rectification,
     matched: MatchedStripe,
@@ -457,9 +483,8 @@ def triangulate_optimal(
     x_left, x_right = matched.x_left, matched.x_right
     for _ in range(2):  # the second step takes what is left of second order
         z = rectification.baseline_mm / (x_left - x_right)
-        along = (n[0] * x_left + n[1] * matched.y + n[2]) * z
-        by_right = along * z / rectification.baseline_mm
-        by_left = n[0] * z - by_right
+        by_left, by_right = _across(n, x_left, matched.y, z, rectification.baseline_mm)
+        along = by_right * rectification.baseline_mm / z
         first = by_left * (matched.x_left - x_left) + by_right * (matched.x_right - x_right)
         gap = (along - distance_mm + first) / (
             by_left**2 * left_variance + by_right**2 * right_variance + plane_u_mm**2

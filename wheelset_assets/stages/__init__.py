@@ -24,7 +24,7 @@ CALIBRATION = Stage(
     run=run_calibrations,
 )
 TRIANGULATION = Stage(
-    version=5,
+    version=6,
     meaning="Stripe centres matched along epipolar lines and triangulated (eq. 1-13)",
     scope="scan",
     inputs=("calibrations",),

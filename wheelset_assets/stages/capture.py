@@ -375,10 +375,14 @@ def _triangulate(
     plane = fit_laser_plane(points[good])
     n_off_plane, in_step = 0, IN_STEP
     if plane is not None:
-        wrong = off_plane(plane, points[good], u_mm[good], config.mismatch_sigmas, config.mismatch_floor_mm)
+        seen_with = (rectification, matched, u_left, u_right, plane.normal)
+        across_mm = tri.off_plane_uncertainty(*seen_with, neighbour)
+        wrong = off_plane(plane, points[good], across_mm[good], config.mismatch_sigmas, config.mismatch_floor_mm)
         n_off_plane = int(wrong.sum())
         good[good] = ~wrong
-        late, in_step = _frames_out_of_step(plane, points, good, u_mm, length or 1.0, config)
+        # A frame's mean keeps what rows share: to it, the mean of two neighbouring rows is as noisy as one.
+        across_mm = tri.off_plane_uncertainty(*seen_with, 1.0)
+        late, in_step = _frames_out_of_step(plane, points, good, across_mm, length or 1.0, config)
         good[late] = False
         if config.method == "optimal":
             fifth = (plane.normal, plane.distance_mm, max(plane.rms_mm, 1e-3))
@@ -406,7 +410,7 @@ def _frames_out_of_step(
     plane: LaserPlane,
     points: np.ndarray,
     good: np.ndarray,
-    u_mm: np.ndarray,
+    u_across_mm: np.ndarray,
     correlation_rows: float,
     config: TriangulationConfig,
 ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -414,7 +418,7 @@ def _frames_out_of_step(
 
     And what is said of them in the statistics.
     """
-    found = frame_offsets(plane, points, good, u_mm, correlation_rows)
+    found = frame_offsets(plane, points, good, u_across_mm, correlation_rows)
     if found is None:
         return np.zeros(len(points), bool), IN_STEP
     late = found.off(config.out_of_step_sigmas, config.out_of_step_floor_um * 1e-3)

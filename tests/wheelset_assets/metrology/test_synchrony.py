@@ -24,13 +24,20 @@ def scan(rng, correlated=1):
     return points + SIGMA_MM * noise[..., None] * sight
 
 
+def across(plane, points):
+    """The part of that noise that lies across the plane."""
+    return SIGMA_MM * np.abs(points @ plane.normal) / np.linalg.norm(points, axis=-1)
+
+
 @pytest.mark.parametrize("correlated", [1, 5])
 def test_offsets_of_good_frames_are_noise_of_the_claimed_size(correlated):
     points = scan(np.random.default_rng(1), correlated)
     plane = fit_laser_plane(points.reshape(-1, 3))
-    found = frame_offsets(plane, points, np.ones((FRAMES, ROWS), bool), np.full((FRAMES, ROWS), SIGMA_MM), correlated)
+    found = frame_offsets(plane, points, np.ones((FRAMES, ROWS), bool), across(plane, points), correlated)
     pulls = found.offset_mm / found.u_mm
     assert 0.9 < pulls.std() < 1.1
+    scatter_mm, pull = found.scatter()
+    assert 0.9 < pull < 1.1 and 0.9 < scatter_mm / found.u_mm.mean() < 1.1
     assert not found.off(6.0, 0.0).any()
 
 
@@ -41,10 +48,25 @@ def test_a_frame_of_another_instant_is_found_and_no_other():
     late = np.zeros(FRAMES, bool)
     late[[3, 100, 101, 399]] = True
     points[late] += np.array([0.0, 0.0, 0.030])  # a run-out of that size between the two instants
-    found = frame_offsets(plane, points, np.ones((FRAMES, ROWS), bool), np.full((FRAMES, ROWS), SIGMA_MM), 1.0)
+    found = frame_offsets(plane, points, np.ones((FRAMES, ROWS), bool), across(plane, points), 1.0)
     assert np.array_equal(found.off(6.0, 2e-3), late)
     expected = 0.030 * abs(plane.normal[2])
     assert np.abs(np.abs(found.offset_mm[late]) - expected).max() < 5 * found.u_mm.max()
+
+
+def test_most_frames_off_by_a_little_show_in_the_scatter_and_single_ones_do_not():
+    rng = np.random.default_rng(5)
+    points = scan(rng)
+    plane = fit_laser_plane(points.reshape(-1, 3))
+    good, u_mm = np.ones((FRAMES, ROWS), bool), across(plane, points)
+    little = np.median(u_mm) / np.sqrt(ROWS) / abs(plane.normal[2])
+    late = points.copy()
+    late[[10, 200]] += np.array([0.0, 0.0, 30 * little])
+    assert 0.9 < frame_offsets(plane, late, good, u_mm, 1.0).scatter()[1] < 1.1
+    points += 1.5 * little * rng.standard_normal((FRAMES, 1, 1)) * np.array([0.0, 0.0, 1.0])
+    found = frame_offsets(plane, points, good, u_mm, 1.0)
+    assert not found.off(6.0, 0.0).any()
+    assert 1.6 < found.scatter()[1] < 2.0  # 1 and 1.5, added in squares
 
 
 def test_gaps_and_frames_with_a_few_points_say_nothing():
@@ -52,7 +74,7 @@ def test_gaps_and_frames_with_a_few_points_say_nothing():
     good = np.random.default_rng(4).random((FRAMES, ROWS)) < 0.5
     good[7], good[8, 5:] = False, False
     plane = fit_laser_plane(points[good])
-    found = frame_offsets(plane, points, good, np.full((FRAMES, ROWS), SIGMA_MM), 1.0)
+    found = frame_offsets(plane, points, good, across(plane, points), 1.0)
     assert np.isnan(found.offset_mm[[7, 8]]).all()
     assert not found.off(6.0, 0.0).any()
-    assert frame_offsets(plane, points[:5], good[:5], np.full((5, ROWS), SIGMA_MM), 1.0) is None
+    assert frame_offsets(plane, points[:5], good[:5], across(plane, points[:5]), 1.0) is None

@@ -456,6 +456,9 @@ def test_point_covariance_two_sided_as_a_whole(sensor):
     sight = points / np.linalg.norm(points, axis=1)[:, None]
     along = np.sqrt(np.einsum("ni,nij,nj->n", sight, covariance, sight))
     assert tri.depth_uncertainty(r, matched, u_left, u_right)[0] == pytest.approx(along, rel=0.12)
+    for normal in np.random.default_rng(5).standard_normal((8, 3)):
+        across = np.sqrt(np.einsum("i,nij,j->n", normal, covariance, normal))
+        assert tri.off_plane_uncertainty(r, matched, u_left, u_right, normal)[0] == pytest.approx(across, rel=1e-9)
 
 
 def test_a_laser_plane_as_a_fifth_row_lowers_the_noise_and_hides_no_bias():
