@@ -2,8 +2,9 @@
 
 For each example a good scan is spoilt in one or two ways (`mutations`), put beside a good rig, calibration and reference
 scan, and a night is run over them. It must not crash or hang, must write nothing outside the warehouse, and must leave a
-row for the scan. If the mutation kept the hashes valid, each value must be within its uncertainty of the good scan's or of
-the truth (frames in another order bring noise of their own), or carry a flag that the good one lacks, or be refused. Every tenth example also builds the catalog and opens it.
+row for the scan. If the mutation kept the hashes valid, each value must be within its uncertainty of the good scan's or
+of the truth (frames in another order bring noise of their own), or carry a flag that the good one lacks, or be refused.
+Every tenth example also builds the catalog and opens it.
 """
 
 from __future__ import annotations

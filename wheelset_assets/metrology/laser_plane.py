@@ -81,7 +81,9 @@ def _near_median(points: Array) -> NDArray[np.bool_]:
     return (np.abs(points - middle) <= 2 * reach).all(axis=1)
 
 
-def off_plane(plane: LaserPlane, points_mm: Array, u_across_mm: Array, sigmas: float, floor_mm: float) -> NDArray[np.bool_]:
+def off_plane(
+    plane: LaserPlane, points_mm: Array, u_across_mm: Array, sigmas: float, floor_mm: float
+) -> NDArray[np.bool_]:
     """Which points (n, 3) lie farther from the plane than their noise explains; NaN points do not.
 
     u_across_mm: standard uncertainty across the plane (`off_plane_uncertainty`). The plane's own scatter counts too, as

@@ -37,7 +37,8 @@ def test_offsets_of_good_frames_are_noise_of_the_claimed_size(correlated):
     pulls = found.offset_mm / found.u_mm
     assert 0.9 < pulls.std() < 1.1
     scatter_mm, pull = found.scatter()
-    assert 0.9 < pull < 1.1 and 0.9 < scatter_mm / found.u_mm.mean() < 1.1
+    assert 0.9 < pull < 1.1
+    assert 0.9 < scatter_mm / found.u_mm.mean() < 1.1
     assert not found.off(6.0, 0.0).any()
 
 
