@@ -24,6 +24,9 @@ Mask = NDArray[np.bool_]
 Values = Callable[[Array, Array], Array]
 """Values (n,) in mm from the lateral and the radial coordinates of all rows, (rows,) each; NaN where there is none."""
 
+Rows = tuple[Array, Array]
+"""Lateral and radial coordinates in mm of all rows, (rows,) each."""
+
 STEP_MM = 0.02
 """Small against every window of a fit, large against its jumps when a row enters it."""
 FIELD_ROWS = 48
@@ -66,28 +69,57 @@ class CalibrationField:
         return modes
 
 
-def levers(
-    meridians: Meridians, values: Values, face: Mask, fields: Mapping[tuple[str, int], CalibrationField]
-) -> list[Lever]:
-    """Levers of each of the values, in their order.
+@dataclass(frozen=True)
+class Steps:
+    """The rows of a station as they would lie after each step, worked out once for all of its values.
 
-    The first grid is the one that the others are registered to; `face` (rows,) squares the station. fields: by sensor
-    and line. A value that a step loses counts as following it fully.
+    The first grid is the one that the others are registered to.
     """
+
+    still: Rows
+    tilted: Rows
+    stretched: Rows
+    views: dict[tuple[str, int], tuple[Rows, Rows, Rows]]
+    """By sensor and line: shifted along the axle, away from it, and turned."""
+    modes: list[tuple[Rows, float]]
+    """Each mode of a calibration, after registration and squaring, and its largest displacement in mm."""
+    turn_rad: float
+    calibrated: bool
+    """Whether the calibrations' covariances are known."""
+
+    def levers(self, values: Values) -> list[Lever]:
+        """Levers of each of the values, in their order. A value that a step loses counts as following it fully."""
+        base = values(*self.still)
+
+        def change(moved: Rows, size_mm: float) -> Array:
+            found = values(*moved) - base
+            return np.where(np.isfinite(found), found, size_mm)
+
+        tilt, stretch = (change(rows, STEP_MM) / self.turn_rad for rows in (self.tilted, self.stretched))
+        size = np.array([STEP_MM, STEP_MM, self.turn_rad])
+        views = {
+            view: np.array([change(rows, STEP_MM) for rows in moved]) / size[:, None]
+            for view, moved in self.views.items()
+        }
+        square = sum((change(rows, size_mm) ** 2 for rows, size_mm in self.modes), np.zeros(len(base)))
+        return [
+            Lever(
+                {view: (float(k[0, i]), float(k[1, i]), float(k[2, i])) for view, k in views.items()},
+                float(tilt[i]),
+                float(stretch[i]),
+                float(np.sqrt(square[i])) if self.calibrated else None,
+            )
+            for i in range(len(base))
+        ]
+
+
+def station_steps(meridians: Meridians, face: Mask, fields: Mapping[tuple[str, int], CalibrationField]) -> Steps:
+    """Steps of a station's rows; `face` (rows,) squares the station. fields: by sensor and line."""
     a, r = meridians.lateral, meridians.radial
-    base = values(a, r)
     turn = STEP_MM / (0.5 * max(float(np.ptp(a)), float(np.ptp(r)), 1.0))
-
-    def change(moved_a: Array, moved_r: Array, size_mm: float) -> Array:
-        found = values(moved_a, moved_r) - base
-        return np.where(np.isfinite(found), found, size_mm)
-
-    everywhere = np.ones(len(a), bool)
-    tilt = change(*_turned(a, r, everywhere, turn), STEP_MM) / turn
     middle = float(a.mean())
-    stretch = change(middle + (a - middle) * (1 + turn), r, STEP_MM) / turn
-    views = {}
-    square = np.zeros(len(base))
+    views: dict[tuple[str, int], tuple[Rows, Rows, Rows]] = {}
+    modes: list[tuple[Rows, float]] = []
     fits = _overlaps(meridians)
     for k, grid in enumerate(meridians.grids):
         own = meridians.owner == k
@@ -95,30 +127,18 @@ def levers(
             continue
         view = (grid.sensor_id, grid.line)
         if k:
-            views[view] = np.array(
-                [
-                    change(np.where(own, a + STEP_MM, a), r, STEP_MM) / STEP_MM,
-                    change(a, np.where(own, r + STEP_MM, r), STEP_MM) / STEP_MM,
-                    change(*_turned(a, r, own, turn), STEP_MM) / turn,
-                ]
-            )
+            lateral, radial = (np.where(own, values + STEP_MM, values) for values in (a, r))
+            views[view] = ((lateral, r), (a, radial), _turned(a, r, own, turn))
         for mode in fields[view].modes(a[own], r[own], grid.direction_deg) if view in fields else ():
             step = np.zeros((len(a), 2))
             step[own] = mode
             for fit in fits:
                 fit.register(step)
             _square(step, a, r, face)
-            square += change(a + step[:, 0], r + step[:, 1], float(np.abs(mode).max())) ** 2
-    known = bool(fields)
-    return [
-        Lever(
-            {view: (float(k[0, i]), float(k[1, i]), float(k[2, i])) for view, k in views.items()},
-            float(tilt[i]),
-            float(stretch[i]),
-            float(np.sqrt(square[i])) if known else None,
-        )
-        for i in range(len(base))
-    ]
+            modes.append(((a + step[:, 0], r + step[:, 1]), float(np.abs(mode).max())))
+    everywhere = np.ones(len(a), bool)
+    stretched = (middle + (a - middle) * (1 + turn), r)
+    return Steps((a, r), _turned(a, r, everywhere, turn), stretched, views, modes, turn, bool(fields))
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,12 @@ def displacement_modes(
     standard uncertainty to either side.
     """
     pixels = _pixels(sensor, points_mm)
+    still = _rays(sensor, pixels)
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     slopes = np.zeros((len(parameter_names), *points_mm.shape))
     for k, name in enumerate(parameter_names):
         if u[k] > 0:
-            ends = [_points(moved(sensor, {name: sign * u[k]}), pixels) for sign in (1.0, -1.0)]
+            ends = [_points(moved(sensor, {name: sign * u[k]}), pixels, sensor, still) for sign in (1.0, -1.0)]
             slopes[k] = (ends[0] - ends[1]) / (2 * u[k])
     values, vectors = np.linalg.eigh(covariance)
     return np.einsum("pm,pnk->mnk", vectors * np.sqrt(np.maximum(values, 0.0)), slopes)
@@ -74,25 +75,23 @@ def working_grid(
 
 def moved(sensor: StereoSensor, steps: dict[str, float]) -> StereoSensor:
     """The sensor with parameters, by the names of an adjustment, moved by steps (px, 1, rad, mm)."""
-    matrices = {"left": sensor.left.matrix.copy(), "right": sensor.right.matrix.copy()}
-    lenses = {"left": sensor.left.distortion.copy(), "right": sensor.right.distortion.copy()}
-    vector, translation = vector_from_rotation(sensor.rotation), sensor.translation_mm.copy()
+    cameras = {"left": sensor.left, "right": sensor.right}
+    turn, translation = np.zeros(3), sensor.translation_mm.copy()
     entries = {"f": ((0, 0), (1, 1)), "fx": ((0, 0),), "fy": ((1, 1),), "cx": ((0, 2),), "cy": ((1, 2),)}
     for name, step in steps.items():
         side, _, key = name.partition("_")
-        if side not in matrices:
-            (translation if name[0] == "t" else vector)["xyz".index(name[1])] += step
-        elif key in entries:
+        if side not in cameras:
+            (translation if name[0] == "t" else turn)["xyz".index(name[1])] += step
+            continue
+        matrix, lens = cameras[side].matrix.copy(), cameras[side].distortion.copy()
+        if key in entries:
             for place in entries[key]:
-                matrices[side][place] += step
+                matrix[place] += step
         else:
-            lenses[side][DISTORTION_NAMES.index(key)] += step
-    return StereoSensor(
-        Camera(matrices["left"], lenses["left"]),
-        Camera(matrices["right"], lenses["right"]),
-        rotation_from_vector(vector),
-        translation,
-    )
+            lens[DISTORTION_NAMES.index(key)] += step
+        cameras[side] = Camera(matrix, lens)
+    rotation = rotation_from_vector(vector_from_rotation(sensor.rotation) + turn) if turn.any() else sensor.rotation
+    return StereoSensor(cameras["left"], cameras["right"], rotation, translation)
 
 
 def _pixels(sensor: StereoSensor, points: Array) -> list[Array]:
@@ -104,6 +103,12 @@ def _pixels(sensor: StereoSensor, points: Array) -> list[Array]:
     ]
 
 
-def _points(sensor: StereoSensor, pixels: list[Array]) -> Array:
-    left, right = undistort(sensor.left, *pixels[:2]), undistort(sensor.right, *pixels[2:])
+def _rays(sensor: StereoSensor, pixels: list[Array]) -> list[tuple[Array, Array]]:
+    return [undistort(sensor.left, *pixels[:2]), undistort(sensor.right, *pixels[2:])]
+
+
+def _points(sensor: StereoSensor, pixels: list[Array], base: StereoSensor, rays: list[tuple[Array, Array]]) -> Array:
+    """Points of the pixels; a camera that is the base's has its rays."""
+    left = rays[0] if sensor.left is base.left else undistort(sensor.left, *pixels[:2])
+    right = rays[1] if sensor.right is base.right else undistort(sensor.right, *pixels[2:])
     return intersect_rays(sensor, *left, *right)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from wheelset_assets.metrology.datum import Line, find_face
 from wheelset_assets.metrology.frame_series import FrameSeries, frame_series, sensors_missed
-from wheelset_assets.metrology.levers import CalibrationField, levers
+from wheelset_assets.metrology.levers import CalibrationField, Steps, station_steps
 from wheelset_assets.metrology.profile import (
     ProfileValues,
     flange_top,
@@ -137,6 +138,11 @@ class _Wheel:
         self.s = (self.meridians.lateral - self.level) * outward
         self.tread, self.tread_fit = self._tread()
 
+    @cached_property
+    def steps(self) -> Steps:
+        """What moves the rows, for the values' levers."""
+        return station_steps(self.meridians, self.face_rows, self.fields)
+
     def _tread(self) -> tuple[FrameSeries, HarmonicFit | None]:
         """Radius at the datum circle frame by frame, measured from the inner face of the same meridian."""
         meridians, settings = self.meridians, self.settings
@@ -237,7 +243,7 @@ class _Wheel:
         beyond = float(values(m.lateral, m.radial)[1])
         u_row = float(np.median(1.0 / np.sqrt(m.weight[rows])))
         u_beyond = float(np.hypot(u_width, 1.5 * u_row))
-        of_width, of_beyond = levers(m, values, self.face_rows, self.fields)
+        of_width, of_beyond = self.steps.levers(values)
         return [
             Reading("rim_width", self.side, width, u_width, **about, lever=of_width),
             Reading("rollover", self.side, max(beyond, 0.0), u_beyond, **about, lever=of_beyond),
@@ -324,7 +330,7 @@ class _Wheel:
             read = profile_values(s, r, m.weight, settings.definition)
             return np.array([getattr(read, name) for name in names.values()])
 
-        lever = dict(zip(names, levers(m, values, self.face_rows, self.fields), strict=True))
+        lever = dict(zip(names, self.steps.levers(values), strict=True))
         sets = []
         for (a, r), left_face in zip(groups, faces, strict=True):
             ok = np.isfinite(a)
@@ -383,9 +389,7 @@ class _Wheel:
             return ends[1].value - ends[0].value if ends[0] and ends[1] else np.nan
 
         u = jackknife(np.array([rise(a, r, face) for (a, r), face in zip(groups, faces, strict=True)]))
-        (lever,) = levers(
-            m, lambda a, r: np.array([rise(a, r, mean_at(a, m.weight, self.face_rows))]), self.face_rows, self.fields
-        )
+        (lever,) = self.steps.levers(lambda a, r: np.array([rise(a, r, mean_at(a, m.weight, self.face_rows))]))
         return Reading("tread_hollow", self.side, max(0.0, float(z[high] - z[low])), u, **about, lever=lever)
 
     def _rows(self, full: ProfileValues, nominal: Nominal | str) -> ProfileRows:

@@ -73,7 +73,7 @@ ALIGNMENT = Stage(
     run=run_alignments,
 )
 MEASUREMENT = Stage(
-    version=6,
+    version=7,
     meaning="Quantities at 20 °C against the master wheelset, each with its uncertainty budget (eq. 28)",
     scope="scan",
     inputs=("filtered_clouds", "stripe_statistics", "registrations", "alignments", "calibrations"),

@@ -14,7 +14,7 @@ from wheelset_assets.metrology import registration as reg
 from wheelset_assets.metrology import rigid
 from wheelset_assets.metrology import triangulation as tri
 from wheelset_assets.metrology.calibration import BoardPose, calibrate_stereo
-from wheelset_assets.metrology.levers import CalibrationField, levers
+from wheelset_assets.metrology.levers import CalibrationField, station_steps
 from wheelset_assets.metrology.point_uncertainty import moved
 from wheelset_assets.metrology.profile import profile_values
 from wheelset_assets.metrology.reading import Meridians, mean_at
@@ -75,7 +75,7 @@ def test_a_second_sensor_that_is_moved_changes_the_values_as_its_levers_say():
     inner, outer = placed(INNER), placed(OUTER)
     m = meridians(inner, outer)
     face = faces(m)
-    found = levers(m, reader(m, face), face, {})
+    found = station_steps(m, face, {}).levers(reader(m, face))
     base, middle = read(inner, outer), outer.mean(axis=0)
     steps = [outer + np.array([0.03, 0]), outer + np.array([0, 0.03]), turned(outer, 3e-4, middle)]
     for k, (step, size) in enumerate(zip(steps, (0.03, 0.03, 3e-4), strict=True)):
@@ -93,7 +93,7 @@ def test_a_station_that_is_tilted_or_stretched_changes_the_values_as_its_levers_
     inner, outer = placed(INNER), placed(OUTER)
     m = meridians(inner, outer)
     face = faces(m)
-    found, base = levers(m, reader(m, face), face, {}), read(inner, outer)
+    found, base = station_steps(m, face, {}).levers(reader(m, face)), read(inner, outer)
     middle = m.points.mean(axis=0)
     tilted = read(turned(inner, 2e-4, middle), turned(outer, 2e-4, middle)) - base
     assert np.array([lever.tilt_mm for lever in found]) == pytest.approx(tilted / 2e-4, rel=0.03, abs=1.0)
@@ -130,7 +130,7 @@ def test_calibrations_move_the_values_as_claimed_two_sided(sensors):
         (f"s{k}", 0): Mirrored(CalibrationField(a.sensor, a.parameter_names, a.covariance, pose))
         for k, (a, pose) in enumerate(sensors)
     }
-    claimed = np.array([lever.u_calibration_mm for lever in levers(m, reader(m, face), face, fields)])
+    claimed = np.array([lever.u_calibration_mm for lever in station_steps(m, face, fields).levers(reader(m, face))])
     base, random, errors = reader(m, face)(m.lateral, m.radial), np.random.default_rng(8), []
     for _ in range(60):
         seen = []
