@@ -1,9 +1,10 @@
 """Cramér–Rao bounds of the draws of the accuracy experiment: the least spread that the given noise allows.
 
-An unbiased estimator that knew the true poses, cameras and noise could spread no less about the truth than this: the
-Fisher information of the stripe centres about each quantity, the form of the profile near it being unknown (a
-polynomial), with the scatter of the axis of rotation and of the thermometers, which no stripe tells. Simulated truth
-and true poses are used here and nowhere else.
+An unbiased estimator that knew the noise could spread no less about the truth than this: the Fisher information of the
+stripe centres about each quantity at the true poses, the form of the profile near it being unknown (a polynomial), with
+the scatter of the axis of rotation and of the thermometers, which no stripe tells. A quantity that the master does not
+zero rests on cameras and poses besides: what the boards' corners, the sensors' overlap and the nominal poses leave open
+is taken as the inverse information that its budget holds. Simulated truth and true poses are used here and nowhere else.
 """
 
 from __future__ import annotations
@@ -20,8 +21,14 @@ from wheelset_assets.simulation.rig import Rig
 from wheelset_assets.simulation.wheelset import Wheelset
 
 Array = NDArray[Any]
-AXIS_UM = 0.5
-"""Radius of the ball in which the axis of rotation lies in each scan (scan-bundle format)."""
+NUISANCES = (
+    "calibration of the sensors",
+    "registration of the sensors",
+    "sensing plane beside the axle",
+    "squareness to the axle",
+    "sensor pose in unconstrained directions",
+)
+"""Sources of a budget that are inverse information about what a reading rests on, not noise of the reading."""
 TREAD_HALF_WIDTH_MM, TREAD_DEGREE = 10.0, 4
 TIP_HALF_WIDTH_MM, TIP_DEGREE = 4.0, 4
 FLANK_HALF_WIDTH_MM, FLANK_DEGREE = 1.5, 2
@@ -165,10 +172,23 @@ def _level(parts: list[tuple[_Rows, Array, Array, int]], half_width: float, degr
     return float(np.linalg.inv(information)[0, 0])
 
 
-def other_bounds(budgets: pa.Table, thermometer_c: float, configured_c: float) -> dict[tuple[str, str], float]:
+def nuisance_bounds(budgets: pa.Table) -> dict[tuple[str, str], float]:
+    """Standard deviation in mm, by quantity and side, that cameras and poses leave open."""
+    variance: dict[tuple[str, str], float] = {}
+    for row in budgets.to_pylist():
+        if row["source"] in NUISANCES:
+            key = (row["quantity"], row["side"])
+            variance[key] = variance.get(key, 0.0) + row["contribution"] ** 2
+    return {key: float(np.sqrt(v)) for key, v in variance.items()}
+
+
+def other_bounds(
+    budgets: pa.Table, thermometer_c: float, configured_c: float, axis_um: float
+) -> dict[tuple[str, str], float]:
     """Standard deviation in mm, by quantity and side, from the axis of rotation and the thermometers as they truly err.
 
-    Sensitivities are those of the budgets: geometry and lengths alone.
+    Sensitivities are those of the budgets: geometry and lengths alone. axis_um: radius of the ball in which the axis lies
+    in each scan.
     """
     variance: dict[tuple[str, str], float] = {}
     for row in budgets.to_pylist():
@@ -176,7 +196,7 @@ def other_bounds(budgets: pa.Table, thermometer_c: float, configured_c: float) -
         if row["source"].endswith("temperature") or row["source"].startswith("rig temperature"):
             term = row["contribution"] * thermometer_c / configured_c
         elif row["source"] == "axis of rotation":  # one coordinate of a point in a ball, in the scan and the reference
-            term = row["sensitivity"] * AXIS_UM * 1e-3 / np.sqrt(5.0) * np.sqrt(2.0)
+            term = row["sensitivity"] * axis_um * 1e-3 / np.sqrt(5.0) * np.sqrt(2.0)
         else:
             continue
         variance[key] = variance.get(key, 0.0) + term**2

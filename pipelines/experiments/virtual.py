@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pipelines.experiments.bound import other_bounds, stripe_bounds
+from pipelines.experiments.bound import nuisance_bounds, other_bounds, stripe_bounds
 from wheelset_assets import bundle, stages
 from wheelset_assets.config import Config
 from wheelset_assets.metrology.calibration import BoardPose, calibrate_stereo
@@ -34,6 +34,8 @@ from wheelset_assets.stages.pose import Register, register_by_icp, registered
 CORNER_NOISE_PX = 0.02
 POSES = 12
 EXPANSION_U_PER_K = 0.3e-6
+AXIS_UM = 0.5
+"""Radius of the ball in which the axis of rotation lies in each scan (scan-bundle format)."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class Job:
     frames: int
     reference_frames: int | None = None
     """Frames of the rig's reference scan; as many as the draw's own if not given."""
+    axis_um: float = AXIS_UM
 
 
 def run_draw(job: Job) -> list[dict[str, Any]]:
@@ -118,7 +121,7 @@ def drawn(job: Job) -> Draw:
     rng = np.random.default_rng([job.seed, job.index, 1])
     profile = ("S1002", "LMA")[job.index % 2]
     turns = (job.frames, job.reference_frames or job.frames)
-    world = _world(job.series, job.seed, job.index // series.draws_a_rig, job.rows, turns, profile)
+    world = _world(job.series, job.seed, job.index // series.draws_a_rig, job.rows, turns, profile, job.axis_um)
     defect = DEFECTS[(job.index // 2) % len(DEFECTS)]
     wheelset = draw_wheelset(job.seed + 7, job.index, "W", profile)
     size = float(rng.uniform(-19.0, 19.0))  # within 20 mm of the master
@@ -133,18 +136,22 @@ def drawn(job: Job) -> Draw:
 
 
 @lru_cache(maxsize=2)
-def _world(series: str, seed: int, rig: int, rows: int, turns: tuple[int, int], profile: str) -> World:
-    return World(SERIES[series], seed + 1000 * rig, rows, turns[0], profile, reference_frames=turns[1])
+def _world(series: str, seed: int, rig: int, rows: int, turns: tuple[int, int], profile: str, axis_um: float) -> World:
+    frames, reference_frames = turns
+    return World(
+        SERIES[series], seed + 1000 * rig, rows, frames, profile, reference_frames=reference_frames, axis_um=axis_um
+    )
 
 
-def _knowing(series: Series) -> Config:
-    """The default configuration, with what a series knows of thermometers and expansion."""
+def _knowing(series: Series, axis_um: float) -> Config:
+    """The default configuration, with what a series knows of thermometers, expansion and the axis of rotation."""
     base = Config()
     known = {
         "thermometer_wheelset_u_c": series.thermometer_c,
         "thermometer_rig_u_c": series.thermometer_c,
         "expansion_wheelset_u_per_k": series.expansion_u_per_k,
         "expansion_rig_u_per_k": series.expansion_u_per_k,
+        "axis_u_um": 0.5 * axis_um,
     }
     return base.model_copy(update={"measurement": base.measurement.model_copy(update=known)})
 
@@ -171,9 +178,10 @@ class World:
         profile: str,
         preset: str = "bench",
         reference_frames: int | None = None,
+        axis_um: float = AXIS_UM,
     ) -> None:
         rng = np.random.default_rng([seed, 2])
-        self.series, self.seed, self.config = series, seed, _knowing(series)
+        self.series, self.seed, self.axis_um, self.config = series, seed, axis_um, _knowing(series, axis_um)
         self.frames = {"production": frames, "reference": reference_frames or frames}
         expansion = 11.5e-6 + series.expansion_u_per_k * rng.standard_normal()
         self.true: Rig = build_rig(seed, preset, "bench-1", rows, expansion)
@@ -235,17 +243,16 @@ class World:
 
     def bounds(self, seen: Seen, budgets: pa.Table) -> dict[tuple[str, str], float]:
         """Least standard deviation in mm, by quantity and side, that this scan and the reference scan allow."""
-        parts = [
-            self._stripe_bounds(seen),
-            self._reference_bounds,
-            other_bounds(budgets, self.series.thermometer_c, self.config.measurement.thermometer_rig_u_c),
-        ]
-        zeroed = {key for key in parts[0] if key[0] in CERTIFICATE_U_MM}
-        return {
-            key: float(np.sqrt(sum(part.get(key, 0.0) ** 2 for part in (parts if key in zeroed else parts[:1]))))
-            for key in parts[0]
-            if key not in zeroed or key in parts[1]
-        }
+        thermometers_c = (self.series.thermometer_c, self.config.measurement.thermometer_rig_u_c)
+        least, of_reference = self._stripe_bounds(seen), self._reference_bounds
+        others, nuisances = other_bounds(budgets, *thermometers_c, self.axis_um), nuisance_bounds(budgets)
+        found = {}
+        for key, own in least.items():
+            if key[0] not in CERTIFICATE_U_MM:
+                found[key] = float(np.hypot(own, nuisances.get(key, 0.0)))
+            elif key in of_reference:
+                found[key] = float(np.sqrt(own**2 + of_reference[key] ** 2 + others.get(key, 0.0) ** 2))
+        return found
 
     @cached_property
     def _reference_bounds(self) -> dict[tuple[str, str], float]:
@@ -301,7 +308,7 @@ class World:
     def _conditions(self, rng: np.random.Generator, drift_c: float, about_c: float) -> Conditions:
         rig_c = about_c + (drift_c * rng.uniform(-1, 1) if drift_c > 1 else 0.0)
         wheelset_c = about_c + drift_c * rng.uniform(-1, 1)
-        y, z, _ = in_ball(rng, 0.5e-3)
+        y, z, _ = in_ball(rng, 1e-3 * self.axis_um)
         error = self.series.thermometer_c * rng.standard_normal(2)
         return Conditions(
             rig_c,
