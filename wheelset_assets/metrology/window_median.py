@@ -6,6 +6,7 @@ No weighted windows (windows) and no choice among filters (filtering.smooth).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 FADING = 0.4
+STEEPEST, SLOPE_STEPS = 8, 1024
+"""On a slope of as many noises a row a neighbour counts no more; steps of the table below, a noise a row."""
 
 
 def median_smoothed(values: Array, half_rows: int, half_frames: int, correlation: float) -> Smoothed:
@@ -90,12 +93,7 @@ def _row_median(values: Array, half: int, claim: _MedianClaim) -> tuple[Array, A
         ahead = window[half + k] - window[half - k]
         ahead *= k
         rise += ahead
-    count, *more = claim.fading(rise, 2.0 * float((np.arange(half + 1) ** 2).sum()))[1:]
-    for fade in more:
-        count += fade
-    count *= 2.0
-    count += 1.0
-    factor = claim.factor(count, count)
+    factor = claim.whole_factor(rise)
     broken = np.flatnonzero(np.isnan(median) & np.isfinite(values))
     if broken.size:
         at = broken + np.int64(2 * half) * (broken // values.shape[1])
@@ -158,6 +156,29 @@ class _MedianClaim:
             odd = odd * square  # first to the power of 2 lag - 1
             made.append(made[-1] * odd)
         return made
+
+    def whole_factor(self, rise: Array) -> Array:
+        """Noise factor of windows along the row without a gap, from 2 sum(k^2) times their slope; `rise` is overwritten.
+
+        There it is a function of the slope alone, which is tabulated: as `fading` and `factor`, in a third of the time.
+        """
+        start, slope = self._table
+        rise *= SLOPE_STEPS / (self.noise * 2.0 * float((np.arange(self.half_rows + 1) ** 2).sum()))
+        np.abs(rise, out=rise)
+        with np.errstate(invalid="ignore"):  # gaps, which the caller sees to
+            whole = rise.astype(np.int32)
+        rise *= slope.take(whole, mode="clip")
+        rise += start.take(whole, mode="clip")
+        return rise
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Noise factor between SLOPE_STEPS whole numbers a noise and row as start + slope x."""
+        steep = np.arange(STEEPEST * SLOPE_STEPS + 1) / SLOPE_STEPS
+        count = 2.0 * sum(self.fading(steep * self.noise)[1:], np.zeros(len(steep))) + 1.0
+        made = self.factor(count, count)
+        slope = np.append(np.diff(made), 0.0)
+        return made - slope * np.arange(len(made)), slope
 
     def factor(self, count: Array, in_row: Array) -> Array:
         """Noise factor for `count` neighbours that count, `in_row` of which lie in the point's own row; NaN for NaN."""

@@ -34,7 +34,7 @@ TRIANGULATION = Stage(
     run=run_triangulated_clouds,
 )
 FILTERING = Stage(
-    version=5,
+    version=6,
     meaning="Range gate, outliers, smoothing (eq. 14-17) and thinning on the organised grid",
     scope="scan",
     inputs=("triangulated_clouds", "stripe_statistics"),
