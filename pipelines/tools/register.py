@@ -15,9 +15,15 @@ from pipelines.tools.clouds import KINDS
 from wheelset_assets.quality import AlgorithmFailed, ConfigError
 
 if TYPE_CHECKING:
+    from numpy import floating
+    from numpy.typing import NDArray
+
     from wheelset_assets.metrology.global_registration import Registered
 
+    Array = NDArray[floating[Any]]
+
 REFUSED = 3
+OUTLIER_SPACINGS = 4.0
 
 
 @tool_app.command()
@@ -41,6 +47,14 @@ def register(
             show_default=False,
         ),
     ] = None,
+    outliers: Annotated[
+        Literal["none", "statistical", "radius"],
+        typer.Option(
+            "--outliers",
+            help="Points to leave out of both clouds first: statistical, those far from their 20 nearest; radius, those "
+            "with fewer than 2 others within four spacings",
+        ),
+    ] = "none",
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Write target_from_source here, 4 x 4, text")
     ] = None,
@@ -57,7 +71,8 @@ def register(
     if max_distance is not None and not max_distance > 0:
         raise ConfigError(f"--max-distance {max_distance}: must be positive")
     start = read_pose(initial) if initial else None
-    moved, still = read_cloud(source), read_cloud(target)
+    read = [read_cloud(source), read_cloud(target)]
+    moved, still = (without_outliers(points, outliers) for points in read)
     began = time.monotonic()
     try:
         found = register_clouds(moved, still, start, method=method, reach=max_distance)
@@ -73,6 +88,7 @@ def register(
         "target": str(target),
         "n_source": len(moved),
         "n_target": len(still),
+        "n_outliers": sum(map(len, read)) - len(moved) - len(still),
         "method": method,
         "seconds": time.monotonic() - began,
     }
@@ -83,6 +99,17 @@ def register(
     else:
         _show(document, out)
     return 0
+
+
+def without_outliers(points: Array, kind: str) -> Array:
+    """The cloud (n, 3) without what `--outliers` names."""
+    from wheelset_assets.metrology.surface import far_from_others, lonely, spacing
+
+    if kind == "statistical":
+        return points[~far_from_others(points)]
+    if kind == "radius":
+        return points[~lonely(points, OUTLIER_SPACINGS * spacing(points), 2)]
+    return points
 
 
 def describe(found: Registered) -> dict[str, Any]:
@@ -130,6 +157,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
         else f"{document['n_matches_agreeing']} agreeing of {document['n_matches']} matches",
         "fine": f"{document['method']}, {document['n_iterations']} iterations"
         + ("" if document["converged"] else ", NOT converged"),
+        "outliers left out": f"{document['n_outliers']:,}",
         "time": f"{document['seconds']:.1f} s",
     }
     for key, value in lines.items():

@@ -110,3 +110,21 @@ def test_errors_name_the_file_and_the_remedy(tmp_path):
         (tmp_path / "pose.txt").write_text(content)
         with pytest.raises(ConfigError, match=message):
             read_pose(tmp_path / "pose.txt")
+
+
+@pytest.mark.parametrize("kind", ["statistical", "radius"])
+def test_outliers_are_left_out_on_demand(hills, tmp_path, kind):
+    """A twentieth of gross outliers, about half a sheet's size away: most go, and few points of the sheet."""
+    source, target, truth = hills
+    random = np.random.default_rng(8)
+    dirt = rigid.apply(rigid.inverse(truth), random.uniform(-60, 60, (450, 3)))
+    dirty = np.concatenate([source, dirt])
+    places = write(dirty, tmp_path / "a.parquet"), write(target, tmp_path / "b.parquet")
+    code, printed = call(*places, "--outliers", kind, "--json")
+    found = json.loads(printed)
+    assert code == 0
+    assert 250 < found["n_outliers"] < 900
+    assert found["n_source"] + found["n_target"] + found["n_outliers"] == len(dirty) + len(target)
+    error = np.array(found["target_from_source"]) @ rigid.inverse(truth)
+    assert np.abs(error[:3, 3] + error[:3, :3] @ target.mean(axis=0) - target.mean(axis=0)).max() < 0.2
+    assert json.loads(call(*places, "--json")[1])["n_outliers"] == 0
