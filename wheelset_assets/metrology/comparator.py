@@ -91,18 +91,15 @@ class Difference:
 class Standing:
     """How well a station's geometry is known, as standard uncertainties, and how a value follows it (mm).
 
-    calibration_mm, registration_mm: of the value by the calibration and by the registration of its sensors. tilt_u_rad:
-    of the squaring; plane_tilt_u_rad: of the meridian by the sensing plane's distance from the axle and angle with it;
-    strain_u: of lengths along the axle by that angle.
+    calibration_mm, registration_mm, sensing_mm: of the value by the calibration of its sensors, by their registration,
+    and by how their sensing planes lie to the axle. tilt_u_rad: of the squaring.
     """
 
     calibration_mm: float
     registration_mm: float
+    sensing_mm: float
     tilt_u_rad: float
-    plane_tilt_u_rad: float
     tilt_mm: float
-    strain_u: float
-    stretch_mm: float
 
 
 @dataclass(frozen=True)
@@ -176,8 +173,7 @@ def absolute(
         Source("registration of the sensors", standing.registration_mm, "mm", 1.0),
         Source("calibration of the sensors", standing.calibration_mm, "mm", 1.0),
         Source("squareness to the axle", standing.tilt_u_rad, "rad", standing.tilt_mm),
-        Source("sensing plane beside the axle", standing.plane_tilt_u_rad, "rad", standing.tilt_mm),
-        Source("sensor pose in unconstrained directions", standing.strain_u, "1", standing.stretch_mm),
+        Source("sensing plane beside the axle", standing.sensing_mm, "mm", 1.0),
         Source("wheelset temperature", tolerances.wheelset_c, "K", value * conditions.wheelset_per_k),
         Source("expansion of the wheelset", tolerances.wheelset_per_k, "1/K", value * (conditions.wheelset_c - 20.0)),
     ]

@@ -131,6 +131,15 @@ class Sensing:
     u_yaw_rad: float
 
     @property
+    def u_strains(self) -> tuple[float, float, float]:
+        """Standard uncertainties of the meridian's strain: along the axle, away from it, and shear.
+
+        A plane at the angle psi with the axle shortens its meridian by psi^2 / 2 along the axle; one that passes the axle
+        at b shortens it by b^2 / 2 R^2 away from it; both together shear it by b psi / R. No motion takes that away.
+        """
+        return self.u_cosine, self.u_shrink, self.u_shear
+
+    @property
     def u_cosine(self) -> float:
         """Standard uncertainty of the cosine of the angle: of lengths along the axle."""
         return half_square_uncertainty(self.yaw_rad, self.u_yaw_rad)

@@ -78,9 +78,10 @@ class Steps:
 
     still: Rows
     tilted: Rows
-    stretched: Rows
     views: dict[tuple[str, int], tuple[Rows, Rows, Rows]]
     """By sensor and line: shifted along the axle, away from it, and turned."""
+    strained: dict[tuple[str, int], tuple[Rows, Rows, Rows]]
+    """By sensor and line: strained along the axle, away from it, and sheared, after registration and squaring."""
     modes: list[tuple[Rows, float]]
     """Each mode of a calibration, after registration and squaring, and its largest displacement in mm."""
     turn_rad: float
@@ -95,18 +96,21 @@ class Steps:
             found = values(*moved) - base
             return np.where(np.isfinite(found), found, size_mm)
 
-        tilt, stretch = (change(rows, STEP_MM) / self.turn_rad for rows in (self.tilted, self.stretched))
-        size = np.array([STEP_MM, STEP_MM, self.turn_rad])
-        views = {
-            view: np.array([change(rows, STEP_MM) for rows in moved]) / size[:, None]
-            for view, moved in self.views.items()
-        }
+        def slopes(of_views: dict[tuple[str, int], tuple[Rows, Rows, Rows]], sizes: tuple[float, ...]) -> Any:
+            return {
+                view: np.array([change(rows, STEP_MM) / size for rows, size in zip(moved, sizes, strict=True)])
+                for view, moved in of_views.items()
+            }
+
+        tilt = change(self.tilted, STEP_MM) / self.turn_rad
+        views = slopes(self.views, (STEP_MM, STEP_MM, self.turn_rad))
+        strains = slopes(self.strained, (self.turn_rad,) * 3)
         square = sum((change(rows, size_mm) ** 2 for rows, size_mm in self.modes), np.zeros(len(base)))
         return [
             Lever(
                 {view: (float(k[0, i]), float(k[1, i]), float(k[2, i])) for view, k in views.items()},
                 float(tilt[i]),
-                float(stretch[i]),
+                {view: (float(k[0, i]), float(k[1, i]), float(k[2, i])) for view, k in strains.items()},
                 float(np.sqrt(square[i])) if self.calibrated else None,
             )
             for i in range(len(base))
@@ -117,10 +121,20 @@ def station_steps(meridians: Meridians, face: Mask, fields: Mapping[tuple[str, i
     """Steps of a station's rows; `face` (rows,) squares the station. fields: by sensor and line."""
     a, r = meridians.lateral, meridians.radial
     turn = STEP_MM / (0.5 * max(float(np.ptp(a)), float(np.ptp(r)), 1.0))
-    middle = float(a.mean())
     views: dict[tuple[str, int], tuple[Rows, Rows, Rows]] = {}
+    strained: dict[tuple[str, int], tuple[Rows, Rows, Rows]] = {}
     modes: list[tuple[Rows, float]] = []
     fits = _overlaps(meridians)
+
+    def followed(own: Mask, field: Array) -> Rows:
+        """All rows when those of one view are displaced by a field (own rows, 2), and the station is put together anew."""
+        step = np.zeros((len(a), 2))
+        step[own] = field
+        for fit in fits:
+            fit.register(step)
+        _square(step, a, r, face)
+        return a + step[:, 0], r + step[:, 1]
+
     for k, grid in enumerate(meridians.grids):
         own = meridians.owner == k
         if not own.any():
@@ -130,15 +144,14 @@ def station_steps(meridians: Meridians, face: Mask, fields: Mapping[tuple[str, i
             lateral, radial = (np.where(own, values + STEP_MM, values) for values in (a, r))
             views[view] = ((lateral, r), (a, radial), _turned(a, r, own, turn))
         for mode in fields[view].modes(a[own], r[own], grid.direction_deg) if view in fields else ():
-            step = np.zeros((len(a), 2))
-            step[own] = mode
-            for fit in fits:
-                fit.register(step)
-            _square(step, a, r, face)
-            modes.append(((a + step[:, 0], r + step[:, 1]), float(np.abs(mode).max())))
+            modes.append((followed(own, mode), float(np.abs(mode).max())))
+        beside, above, still = a[own] - a[own].mean(), r[own] - r[own].mean(), np.zeros(int(own.sum()))
+        along, away, shear = (
+            followed(own, turn * np.column_stack(field)) for field in ((beside, still), (still, above), (still, beside))
+        )
+        strained[view] = along, away, shear
     everywhere = np.ones(len(a), bool)
-    stretched = (middle + (a - middle) * (1 + turn), r)
-    return Steps((a, r), _turned(a, r, everywhere, turn), stretched, views, modes, turn, bool(fields))
+    return Steps((a, r), _turned(a, r, everywhere, turn), views, strained, modes, turn, bool(fields))
 
 
 @dataclass(frozen=True)

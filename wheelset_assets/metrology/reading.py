@@ -80,8 +80,9 @@ class Lever:
     first; what is not named is the first, or has no part."""
     tilt_mm: float
     """By a turn of the whole station in the meridian plane, from lateral towards radial, per rad."""
-    stretch_mm: float
-    """By a strain of the whole station along the axle."""
+    strains: dict[tuple[str, int], tuple[float, float, float]]
+    """By strains of each sensor's meridian, once the others are registered to it or it to them: along the axle, away from
+    it, and shear (radius with the place along the axle)."""
     u_calibration_mm: float | None
     """Standard uncertainty of the value by the sensors' calibrations; None where these were not known."""
 

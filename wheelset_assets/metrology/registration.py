@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology import rigid
-from wheelset_assets.metrology.laser_plane import Sensing
 from wheelset_assets.quality import AlgorithmFailed
 
 Array = NDArray[Any]
@@ -239,19 +238,6 @@ class IcpSettings:
     min_pairs: int
     form_floor_mm: float
     constrained_ratio: float
-    strain_u: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Standard uncertainties of the strain of one meridian against the other: along the axle, away from it, shear."""
-
-
-def silent_strain(source: Sensing, target: Sensing) -> tuple[float, float, float]:
-    """Standard uncertainties of the strain between the meridians of two sensors, in its three components.
-
-    A sensing plane at the angle psi with the axle shortens its meridian by psi^2 / 2 along the axle; one that passes
-    the axle at b shortens it by b^2 / 2 R^2 away from it, and both together shear it by b psi / R. No registration of
-    rigid bodies takes that away.
-    """
-    along, away, shear = np.linalg.norm([(s.u_cosine, s.u_shrink, s.u_shear) for s in (source, target)], axis=0)
-    return float(along), float(away), float(shear)
 
 
 def register_meridians(
@@ -342,7 +328,9 @@ def _summarise(
     square = (pairs.weight * pairs.distance**2).sum() / total * NORMAL_WEIGHT / NORMAL_SQUARE
     rmse = float(np.sqrt(square))
     correlation = _correlation_length(pairs.distance, pairs.weight)
-    variance = max(rmse, LEAST_SIGMA_MM) ** 2 * correlation * NORMAL_VARIANCE * NORMAL_WEIGHT
+    # The fit has taken three of the independent residuals' freedoms.
+    freedom = max(1.0 - 3.0 * correlation / total, 0.25)
+    variance = max(rmse, LEAST_SIGMA_MM) ** 2 / freedom * correlation * NORMAL_VARIANCE * NORMAL_WEIGHT
     weighted = jacobian.T @ (jacobian * pairs.weight[:, None])
     information = weighted / variance
     known = weighted / (variance + total * settings.form_floor_mm**2)
@@ -357,8 +345,6 @@ def _summarise(
     data = told @ (told.T @ root @ information @ root @ told) @ told.T
     data += (directions * np.where(constrained, 0.0, gain)) @ directions.T
     covariance = root @ np.linalg.inv(data + np.eye(6)) @ root
-    pull = covariance @ (jacobian * pairs.weight[:, None]).T / variance @ _strains(pairs, centre)
-    covariance = covariance + (pull * np.square(settings.strain_u)) @ pull.T
     offset = _offset_from_nominal(motion, centre)
     tangential = np.cross([1.0, 0, 0], radial_axis)
     axes = (np.r_[tangential, 0, 0, 0], np.r_[0, 0, 0, 1.0, 0, 0], np.r_[0, 0, 0, radial_axis])
@@ -378,18 +364,6 @@ def _summarise(
         *values,
         *u,
     )
-
-
-def _strains(pairs: _Pairs, centre: Array) -> Array:
-    """Displacement (n, 3) of each pair along its normal by unit strains of the source's meridian against the target's:
-    along the axle, away from it, and the shear between both.
-    """
-    lateral = pairs.moved[:, 0] - centre[0]
-    radius = np.hypot(pairs.moved[:, 1], pairs.moved[:, 2])
-    radial = radius - np.hypot(centre[1], centre[2])
-    outward = (pairs.normal[:, 1:] * pairs.moved[:, 1:]).sum(axis=1) / radius
-    shear = 0.5 * (pairs.normal[:, 0] * radial + outward * lateral)
-    return np.column_stack([pairs.normal[:, 0] * lateral, outward * radial, shear])
 
 
 def _correlation_length(residuals: Array, weight: Array) -> float:

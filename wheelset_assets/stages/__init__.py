@@ -53,7 +53,7 @@ FEATURES = Stage(
     run=run_features,
 )
 REGISTRATION = Stage(
-    version=6,
+    version=7,
     meaning="Coarse pose from matches (eq. 22-24), ICP (eq. 25-26) aware of degeneracy, check by frequency, fused meridians",
     scope="scan",
     inputs=("filtered_clouds", "stripe_statistics", "features"),

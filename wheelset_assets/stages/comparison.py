@@ -310,9 +310,8 @@ class Comparison:
         names = [s.sensor_id for s in self.rig.station_sensors(station.station)]
         return next(v for name in names for v in sorted(self.zero.poses) if v[0] == name)
 
-    def _sensing(self, station: Station) -> Sensing:
-        """How the station's sensing plane lies to the axle; as its nominal pose allows where no plane was found."""
-        view = self._view(station)
+    def _sensing(self, view: View) -> Sensing:
+        """How a sensing plane lies to the axle; as the nominal pose allows where no plane was found."""
         reach = float(np.hypot(*self.zero.poses[view][1:3, 3]))
         u_offset = float(np.hypot(reach * self.tolerances.pose_rad, self.config.nominal_translation_mm / np.sqrt(3)))
         return self.zero.sensing.get(view, Sensing(reach, 0.0, 0.0, u_offset, self.tolerances.pose_rad))
@@ -328,7 +327,7 @@ class Comparison:
     ) -> Difference:
         """A displacement along the axle, or away from it at radius_mm."""
         view = self._view(station)
-        sensing = self._sensing(station)
+        sensing = self._sensing(view)
         pose = self.zero.poses[view]
         depth, lateral = self.scales.get(view[0], (1e-3, 1e-3))
         share, cross_share = abs(float(pose[:3, 2] @ direction)), abs(float(pose[:3, 2] @ across))
@@ -449,7 +448,8 @@ class Comparison:
         across = TAPER_MM if quantity == "journal_taper" else 0.0
         # Of a journal that several sensors see, one end may lie in each: both radii follow.
         apart = dict.fromkeys(self.zero.registration_u, (0.0, 2.0, 0.0)) if across else {}
-        lever = reading.lever or Lever(apart, across, abs(reading.value), None)
+        lengths = {self._view(station): (abs(reading.value), 0.0, 0.0)}
+        lever = reading.lever or Lever(apart, across, lengths, None)
         calibration = lever.u_calibration_mm
         if calibration is None:
             sensors = self.rig.station_sensors(station.station)
@@ -462,15 +462,13 @@ class Comparison:
             if view[0] in names
             for step, u in zip(lever.views.get(view, (0.0, 0.0, 0.0)), steps, strict=True)
         ]
-        sensing = self._sensing(station)
+        sensing = [np.multiply(by, self._sensing(view).u_strains) for view, by in sorted(lever.strains.items())]
         return Standing(
             calibration,
             float(np.linalg.norm(registration)),
+            float(np.linalg.norm(sensing)),
             self.zero.u_squaring_rad.get(station.station, 1e-3),
-            sensing.u_shear if station.kind == "wheel" else 0.0,  # a journal is squared by itself
             lever.tilt_mm,
-            sensing.u_cosine,
-            lever.stretch_mm,
         )
 
 
@@ -480,7 +478,7 @@ TAPER_MM = 70.0
 
 def _within_one_sensor(value_mm: float) -> Standing:
     """Of a small length that one sensor sees: its scale is known to a thousandth."""
-    return Standing(1e-3 * value_mm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Standing(1e-3 * value_mm, 0.0, 0.0, 0.0, 0.0)
 
 
 def _truncated(found: Spectrum, order: int) -> Array:

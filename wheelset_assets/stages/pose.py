@@ -307,7 +307,6 @@ def register_by_icp(
         config.min_pairs,
         config.form_floor_um * 1e-3,
         config.constrained_ratio,
-        _strain_u(station, source, target),
     )
     found, started_coarse = _best_start(curves[source], curves[target], direction, start, settings)
     if not started_coarse:
@@ -340,17 +339,6 @@ def register_by_icp(
         "information": list(found.information.ravel()),
     }
     return found.motion, row | check
-
-
-def _strain_u(station: StationScan, source: View, target: View) -> tuple[float, float, float]:
-    """Of one view's meridian against the other's; of views without a known plane, what their nominal poses allow."""
-    seen = []
-    for view in (source, target):
-        radius = float(station.curves[view][:, 1].mean())
-        reach = float(np.hypot(*station.poses[view][1:3, 3]))
-        unknown = Sensing(radius, 0.0, 0.0, float(np.hypot(MAKE.pose_mm, MAKE.pose_rad * reach)), MAKE.pose_rad)
-        seen.append(station.sensing.get(view, unknown))
-    return registration.silent_strain(*seen)
 
 
 def _frequency_check(source: Array, target: Array, config: RegistrationConfig) -> tuple[dict[str, float], bool]:

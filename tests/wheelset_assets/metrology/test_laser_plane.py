@@ -9,7 +9,7 @@ import pytest
 from two_sided import assert_pulls
 
 from wheelset_assets.metrology import rigid
-from wheelset_assets.metrology.laser_plane import Make, fit_laser_plane, off_plane, plane_shift, turned_to_axle
+from wheelset_assets.metrology.laser_plane import Make, Sensing, fit_laser_plane, off_plane, plane_shift, turned_to_axle
 
 NORMAL = np.array([0.99, 0.04, -0.13]) / np.linalg.norm([0.99, 0.04, -0.13])
 
@@ -152,3 +152,35 @@ def test_a_pose_that_the_make_does_not_allow_is_told():
     assert far
     assert pose == pytest.approx(beyond)
     assert np.isfinite([sensing.u_shear, sensing.u_cosine]).all()
+
+
+def test_the_strain_of_meridians_is_that_of_planes_beside_the_axle():
+    """Two sensing planes, each at a distance from the axle and at an angle with it that are known to a part only.
+
+    The meridian of a section at the distance b, turned by psi: lateral xi cos psi, radius hypot(h, b + xi sin psi); its
+    derivatives in the middle of what is seen, against those of the planes that are believed in.
+    """
+    random, height = np.random.default_rng(6), 460.0
+    known = [Sensing(height, *numbers) for numbers in ((0.0, 0.0, 1.7, 4e-3), (1.5, 6e-3, 1.2, 5e-3))]
+
+    def strains(b, psi, step=0.5):
+        def section(xi, h):
+            return xi * np.cos(psi), np.hypot(h, b + xi * np.sin(psi))
+
+        return (
+            section(step, height)[0] - section(-step, height)[0],
+            section(0, height + step)[1] - section(0, height - step)[1],
+            section(step, height)[1] - section(-step, height)[1],
+        )
+
+    errors = []
+    for s in known:
+        b, psi = (
+            mean + u * random.standard_normal(200_000)
+            for mean, u in ((s.offset_mm, s.u_offset_mm), (s.yaw_rad, s.u_yaw_rad))
+        )
+        errors.append(np.array(strains(b, psi)) - np.array(strains(s.offset_mm, s.yaw_rad))[:, None])
+    for component, u in zip(
+        zip(*errors, strict=True), np.linalg.norm([s.u_strains for s in known], axis=0), strict=True
+    ):
+        assert np.sqrt(np.mean(component[0] ** 2) + np.mean(component[1] ** 2)) == pytest.approx(u, rel=0.02)
