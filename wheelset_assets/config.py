@@ -314,7 +314,7 @@ class MeasurementConfig(Section):
     frame_scatter_floor_um: float = Field(
         0.5,
         gt=0,
-        description="Frames that scatter by less about their laser plane flag nothing: it does no harm",
+        description="Frames that scatter by less about their laser plane flag nothing, whatever their noise",
     )
     plane_floor_um: float = Field(
         8.0,

@@ -61,7 +61,7 @@ def accuracy(
     of 40 degrees unseen, one in ten grease on the datum circle, one a flat, one five times the outliers. The p-value is
     two-sided, of the binomial distribution: below 0.001 the claimed uncertainty is refuted, as too small or as too large.
     Spread / bound: against the Cramér-Rao bound of the stripes' noise, the axis and the thermometers (exact series); of
-    quantities that no master zeroes, of noise, calibration and registration. A one-sided sensor cannot see the axis: half
+    quantities that no master zeroes, of noise, calibration, sensing plane and registration. A one-sided sensor cannot see the axis: half
     a micrometre of it is as much as the target of the journals; `--axis-um 0` shows what the rest does.
     """
     from pipelines.experiments.output import computed, tell, write
@@ -72,7 +72,14 @@ def accuracy(
         raise ConfigError(f"--series {unknown[0]}: known are {', '.join(SERIES)} and both")
     jobs = [Job(name, index, seed, rows, frames, reference_frames, axis_um) for name in names for index in range(draws)]
     errors = computed(run_draw, jobs, workers)
-    summary = summarised(errors)
+    given = {
+        "frames": frames,
+        "reference_frames": reference_frames,
+        "image_rows": rows,
+        "axis_um": axis_um,
+        "seed": seed,
+    }
+    summary = [row | given for row in summarised(errors)]
     places = write(summary, _drawn(errors, names), out, "accuracy", figure)
     places |= {"errors": write(errors, None, out, "accuracy-errors", figure)["parquet"]}
     lines: list[list[str]] = []
@@ -92,7 +99,7 @@ def accuracy(
             "Of flats, zeros that say `not_detected` are left out: their U is what could have escaped.",
         ],
         places,
-        {"experiment": "accuracy", "draws": draws, "rows": summary},
+        {"experiment": "accuracy", "draws": draws, **given, "rows": summary},
         as_json,
     )
     return 0

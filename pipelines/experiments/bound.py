@@ -3,8 +3,10 @@
 An unbiased estimator that knew the noise could spread no less about the truth than this: the Fisher information of the
 stripe centres about each quantity at the true poses, the form of the profile near it being unknown (a polynomial), with
 the scatter of the axis of rotation and of the thermometers, which no stripe tells. A quantity that the master does not
-zero rests on cameras and poses besides: what the boards' corners, the sensors' overlap and the nominal poses leave open
-is taken as the inverse information that its budget holds. Simulated truth and true poses are used here and nowhere else.
+zero rests on cameras and poses besides: the boards' corners leave the calibration's covariance open, the nominal poses
+the sensing plane, the stripes in the overlap of two sensors their registration. How the quantity follows these is taken
+from its budget, and of the registration that alone: what it leaves at least comes from the stripes' noise. Simulated
+truth and true poses are used here and nowhere else.
 """
 
 from __future__ import annotations
@@ -15,20 +17,20 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from wheelset_assets.simulation.noise import NoiseModel
 from wheelset_assets.simulation.rig import Rig
 from wheelset_assets.simulation.wheelset import Wheelset
 
 Array = NDArray[Any]
-NUISANCES = (
+CALIBRATION, SENSING, REGISTRATION = (
     "calibration of the sensors",
-    "registration of the sensors",
     "sensing plane beside the axle",
-    "squareness to the axle",
-    "sensor pose in unconstrained directions",
+    "registration of the sensors",
 )
-"""Sources of a budget that are inverse information about what a reading rests on, not noise of the reading."""
+TOGETHER_MM, TANGENT_ROWS = 0.3, 6
+"""Rows of two sensors this near to each other are seen by both; a row's tangent is that over so many to either side."""
 TREAD_HALF_WIDTH_MM, TREAD_DEGREE = 10.0, 4
 TIP_HALF_WIDTH_MM, TIP_DEGREE = 4.0, 4
 FLANK_HALF_WIDTH_MM, FLANK_DEGREE = 1.5, 2
@@ -172,14 +174,66 @@ def _level(parts: list[tuple[_Rows, Array, Array, int]], half_width: float, degr
     return float(np.linalg.inv(information)[0, 0])
 
 
-def nuisance_bounds(budgets: pa.Table) -> dict[tuple[str, str], float]:
-    """Standard deviation in mm, by quantity and side, that cameras and poses leave open."""
+def nuisance_bounds(budgets: pa.Table, registered: dict[str, float]) -> dict[tuple[str, str], float]:
+    """Standard deviation in mm, by quantity and side, that cameras and poses leave open at least.
+
+    registered: by side, the least standard deviation of its wheel sensors' registration over what it claims.
+    """
     variance: dict[tuple[str, str], float] = {}
     for row in budgets.to_pylist():
-        if row["source"] in NUISANCES:
+        if row["source"] in (CALIBRATION, SENSING, REGISTRATION):
             key = (row["quantity"], row["side"])
-            variance[key] = variance.get(key, 0.0) + row["contribution"] ** 2
+            share = registered.get(row["side"], 0.0) if row["source"] == REGISTRATION else 1.0
+            variance[key] = variance.get(key, 0.0) + (share * row["contribution"]) ** 2
     return {key: float(np.sqrt(v)) for key, v in variance.items()}
+
+
+def registration_bounds(
+    tables: dict[str, pa.Table], rig: Rig, rig_c: float, registrations: pa.Table
+) -> dict[str, float]:
+    """By side, the least standard deviation along the axle of the registration of the wheel's two sensors, over its claim."""
+    rows, noise, found = _station_rows(tables, rig, rig_c), NoiseModel(), {}
+    for row in registrations.to_pylist():
+        views = rows.get(row["station"], [])
+        if row["method"] == "icp" and row["station"].endswith("_wheel") and len(views) == 2:
+            information = _pose_information(views[0], views[1], noise)
+            if np.linalg.matrix_rank(information) == 3:
+                least_mm = float(np.sqrt(np.linalg.inv(information)[0, 0]))
+                found[row["station"].removesuffix("_wheel")] = 1e3 * least_mm / row["u_lateral_um"]
+    return found
+
+
+def _pose_information(one: _Rows, other: _Rows, noise: NoiseModel) -> Array:
+    """Fisher information (3, 3) about a lateral and a radial shift (mm) and a turn in the meridian plane (rad) between two
+    sensors, of the rows that both see; the curve that they see is not known, so that only their difference tells."""
+    tree = cKDTree(np.column_stack([other.lateral_mm, other.radial_mm]))
+    points = np.column_stack([one.lateral_mm, one.radial_mm])
+    distance, partner = tree.query(points)
+    both = np.flatnonzero(distance < TOGETHER_MM)
+    (normal, step), (_, other_step) = _normals(one), _normals(other)
+    n, partner = normal[both], partner[both]
+    own = (one.sigma_mm[both] * (one.towards[both] * n).sum(axis=1)) ** 2
+    theirs = (other.sigma_mm[partner] * (other.towards[partner] * n).sum(axis=1)) ** 2
+    # Rows of a sensor share their speckle over some lines; of the other sensor there may be more or fewer to a row.
+    share = noise.speckle_px**2 / (noise.speckle_px**2 + noise.white_px**2)
+    length = 1 - share + share * np.sqrt(2 * np.pi) * noise.speckle_rows
+    variance = length * (own + theirs * other_step[partner] / step[both])
+    about = points[both] - points[both].mean(axis=0)
+    columns = np.column_stack([n, n[:, 1] * about[:, 0] - n[:, 0] * about[:, 1]])
+    return (
+        float(np.median(one.n_frames[both])) * (columns / variance[:, None]).T @ columns
+        if len(both)
+        else np.zeros((3, 3))
+    )
+
+
+def _normals(rows: _Rows) -> tuple[Array, Array]:
+    """Unit normals (rows, 2) of a meridian, and the distance from row to row in mm."""
+    at, points = np.arange(len(rows.row)), np.column_stack([rows.lateral_mm, rows.radial_mm])
+    low, high = np.maximum(at - TANGENT_ROWS, 0), np.minimum(at + TANGENT_ROWS, at[-1])
+    along = points[high] - points[low]
+    length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    return np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None], length / np.maximum(high - low, 1)
 
 
 def other_bounds(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pipelines.experiments.bound import nuisance_bounds, other_bounds, stripe_bounds
+from pipelines.experiments.bound import nuisance_bounds, other_bounds, registration_bounds, stripe_bounds
 from wheelset_assets import bundle, stages
 from wheelset_assets.config import Config
 from wheelset_assets.metrology.calibration import BoardPose, calibrate_stereo
@@ -75,7 +75,7 @@ def run_draw(job: Job) -> list[dict[str, Any]]:
     draw = drawn(job)
     seen = draw.see()
     found = draw.world.process(seen, draw.world.reference, draw.world.config)
-    least = draw.world.bounds(seen, found["budgets"]) if SERIES[job.series].certificate_scale == 0 else {}
+    least = draw.world.bounds(seen, found) if SERIES[job.series].certificate_scale == 0 else {}
     return [row | {"bound": least.get((row["quantity"], row["side"]))} for row in draw.errors(found["measurements"])]
 
 
@@ -241,11 +241,17 @@ class World:
         points = self._triangulated(wheelset, conditions, rng, header, gap_deg, outliers, rig or self.true)
         return Seen(header, points, wheelset, conditions)
 
-    def bounds(self, seen: Seen, budgets: pa.Table) -> dict[tuple[str, str], float]:
-        """Least standard deviation in mm, by quantity and side, that this scan and the reference scan allow."""
+    def bounds(self, seen: Seen, processed: dict[str, pa.Table]) -> dict[tuple[str, str], float]:
+        """Least standard deviation in mm, by quantity and side, that this scan and the reference scan allow.
+
+        processed: what the pipeline made of the scan; of it the budgets' sensitivities are used, see `bound`.
+        """
         thermometers_c = (self.series.thermometer_c, self.config.measurement.thermometer_rig_u_c)
         least, of_reference = self._stripe_bounds(seen), self._reference_bounds
-        others, nuisances = other_bounds(budgets, *thermometers_c, self.axis_um), nuisance_bounds(budgets)
+        others = other_bounds(processed["budgets"], *thermometers_c, self.axis_um)
+        # Values are read in the geometry of the reference scan.
+        geometry = (self.master.tables, self.true, self.master.conditions.rig_c, self.reference["registrations"])
+        nuisances = nuisance_bounds(processed["budgets"], registration_bounds(*geometry))
         found = {}
         for key, own in least.items():
             if key[0] not in CERTIFICATE_U_MM:

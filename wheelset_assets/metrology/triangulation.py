@@ -197,6 +197,28 @@ def rotate_image(b_from_a: Array, x: Array, y: Array) -> tuple[Array, Array]:
     return (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / depth, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / depth
 
 
+def rectified_scales(
+    sensor: StereoSensor, rectification: Rectification, left_u_px: Array, right_u_px: Array
+) -> tuple[float, float]:
+    """Change of the rectified abscissa (f = 1) with one pixel of u, left and right, in the middle of what was seen.
+
+    1 / f in the middle of a camera that looks along its normal; lens and rectification make it a tenth more or less.
+    """
+    found = []
+    for camera, rotation, u in (
+        (sensor.left, rectification.rectified_from_left, left_u_px),
+        (sensor.right, rectification.rectified_from_right, right_u_px),
+    ):
+        some = u[:: max(1, len(u) // 16)]
+        frame, row = np.nonzero(np.isfinite(some))
+        u_px, v_px = (
+            (np.median(some[frame, row]), np.median(row)) if len(row) else (camera.matrix[0, 2], camera.matrix[1, 2])
+        )
+        x, _ = rotate_image(rotation, *undistort(camera, u_px + np.array([-0.5, 0.5]), np.full(2, v_px)))
+        found.append(abs(float(x[1] - x[0])))
+    return found[0], found[1]
+
+
 def match_stripes(
     sensor: StereoSensor, rectification: Rectification, left_u_px: Array, right_u_px: Array, max_step_px: float
 ) -> MatchedStripe:
@@ -444,7 +466,7 @@ def off_plane_uncertainty(
     """Standard uncertainty (frames, rows) in mm across a plane of that normal (3,), sensor frame, first order.
 
     A left centre's error moves a point along the right ray, a right centre's along the left ray: a sheet that lies along
-    one of the rays still sees the other's noise.
+    one of the rays still sees the other's noise. Image rows are taken as epipolar lines, as in `point_covariance`.
     """
     n = rectification.rectified_from_left @ np.asarray(normal, float)
     z = rectification.baseline_mm / (matched.x_left - matched.x_right)

@@ -165,6 +165,7 @@ class _MedianClaim:
         start, slope = self._table
         rise *= SLOPE_STEPS / (self.noise * 2.0 * float((np.arange(self.half_rows + 1) ** 2).sum()))
         np.abs(rise, out=rise)
+        np.minimum(rise, STEEPEST * SLOPE_STEPS, out=rise)  # a whole number of 32 bits holds no more than 2e9
         with np.errstate(invalid="ignore"):  # gaps, which the caller sees to
             whole = rise.astype(np.int32)
         rise *= slope.take(whole, mode="clip")

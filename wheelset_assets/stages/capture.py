@@ -358,8 +358,10 @@ def _triangulate(
     length = float(np.mean([n.correlation_rows for n in known])) if known else None
     neighbour = float(np.mean([n.neighbour_correlation for n in known])) if known else 0.0
     # Without repeats to estimate the noise from, a tenth of a pixel is assumed rather than nothing claimed.
-    sigma_px = sigma if np.isfinite(sigma) and sigma > 0 else 0.1
-    u_left, u_right = (sigma_px / camera.matrix[0, 0] for camera in (sensor.left, sensor.right))
+    shared_px = sigma if np.isfinite(sigma) and sigma > 0 else 0.1
+    own_px = [n.sigma_px if n is not None and n.sigma_px > 0 else shared_px for n in noise]
+    scales = tri.rectified_scales(sensor, rectification, stripe.left_u_px, stripe.right_u_px)
+    u_left, u_right = (px * scale for px, scale in zip(own_px, scales, strict=True))
     matched = tri.match_stripes(sensor, rectification, stripe.left_u_px, stripe.right_u_px, config.max_step_px)
     if config.method == "least_squares":
         points = tri.triangulate_least_squares(sensor, rectification, matched)

@@ -312,9 +312,16 @@ class Comparison:
 
     def _sensing(self, view: View) -> Sensing:
         """How a sensing plane lies to the axle; as the nominal pose allows where no plane was found."""
+        if (known := self.zero.sensing.get(view)) is not None:
+            return known
         reach = float(np.hypot(*self.zero.poses[view][1:3, 3]))
+        station = next(
+            s for s in self.rig.stations if view[0] in {k.sensor_id for k in self.rig.station_sensors(s.station)}
+        )
+        diameter = self.read.get((f"{station.kind}_diameter", station.side))
+        radius = 0.5 * diameter.value if diameter is not None and diameter.reason is None else reach
         u_offset = float(np.hypot(reach * self.tolerances.pose_rad, self.config.nominal_translation_mm / np.sqrt(3)))
-        return self.zero.sensing.get(view, Sensing(reach, 0.0, 0.0, u_offset, self.tolerances.pose_rad))
+        return Sensing(radius, 0.0, 0.0, u_offset, self.tolerances.pose_rad)
 
     def _difference(
         self,
@@ -448,8 +455,11 @@ class Comparison:
         across = TAPER_MM if quantity == "journal_taper" else 0.0
         # Of a journal that several sensors see, one end may lie in each: both radii follow.
         apart = dict.fromkeys(self.zero.registration_u, (0.0, 2.0, 0.0)) if across else {}
-        lengths = {self._view(station): (abs(reading.value), 0.0, 0.0)}
-        lever = reading.lever or Lever(apart, across, lengths, None)
+        lever = reading.lever
+        if lever is None:
+            length = abs(reading.value)
+            strained = (length, 0.0, 0.0) if quantity in ALONG_THE_AXLE else (0.0, length, 0.0)
+            lever = Lever(apart, across, {self._view(station): strained}, None)
         calibration = lever.u_calibration_mm
         if calibration is None:
             sensors = self.rig.station_sensors(station.station)
@@ -472,6 +482,8 @@ class Comparison:
         )
 
 
+ALONG_THE_AXLE = frozenset({"axial_runout", "shoulder_squareness"})
+"""Values within one sensor's view that are lengths along the axle; the others lie away from it."""
 TAPER_MM = 70.0
 """Length of a journal over which its taper is told, about."""
 

@@ -183,7 +183,6 @@ class StationScan:
     grids: dict[View, MeridianGrid]
     means: dict[View, MeanMeridian]
     curves: dict[View, Array]
-    sensing: dict[View, Sensing]
     flags: dict[View, Flag]
     """What every registration of a view is flagged with."""
 
@@ -208,7 +207,7 @@ def station_scans(
             absent = Flag.NONE if {s.sensor_id for s in wanted} <= seen_sensors else Flag.SENSOR_MISSING
             flags = {v: absent | (Flag.FAR_FROM_NOMINAL if v in before.far else Flag.NONE) for v in views}
             known = {v: poses[v] for v in views}, {v: found[v] for v in views}
-            result.append(StationScan(station, views, *known, means, curves, before.sensing, flags))
+            result.append(StationScan(station, views, *known, means, curves, flags))
     return result
 
 

@@ -88,7 +88,7 @@ STRIPE_STATISTICS = Table(
         Column(
             "frame_scatter_um",
             "float64",
-            "Robust scatter over the frames of their mean distance from the laser plane",
+            "Standard deviation over the frames, but for single ones that are far off, of their mean distance from the laser plane",
             unit="um",
             minimum=0,
             nullable=True,

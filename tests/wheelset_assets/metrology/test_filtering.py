@@ -461,3 +461,6 @@ def test_the_table_of_a_whole_windows_noise_factor_is_what_it_stands_for(half):
     assert found[:-1] == pytest.approx(claim.factor(count, count), abs=1.5e-4)
     assert found[0] == pytest.approx(1.0, abs=1e-6)
     assert found[2000] < 0.8
+    assert np.isnan(found[-1])
+    exact = window_median._MedianClaim(half, 1e-12, along)  # data without noise: no slope is gentle
+    assert exact.whole_factor(run * np.array([1e-5, 1.0, np.inf])) == pytest.approx(1.0, abs=1e-6)
