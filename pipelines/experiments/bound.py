@@ -17,11 +17,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
+from wheelset_assets.metrology.revolution import MeanMeridian, mean_meridian
 from wheelset_assets.simulation.noise import NoiseModel
 from wheelset_assets.simulation.rig import Rig
 from wheelset_assets.simulation.wheelset import Wheelset
+from wheelset_assets.stages.pose import station_grids
 
 Array = NDArray[Any]
 CALIBRATION, SENSING, REGISTRATION = (
@@ -192,44 +195,70 @@ def registration_bounds(
     tables: dict[str, pa.Table], rig: Rig, rig_c: float, registrations: pa.Table
 ) -> dict[str, float]:
     """By side, the least standard deviation along the axle of the registration of the wheel's two sensors, over its claim."""
-    rows, noise, found = _station_rows(tables, rig, rig_c), NoiseModel(), {}
+    cloud = tables["triangulated_clouds"]
+    poses = {
+        (sensor.sensor_id, line): sensor.rig_from_sensor_at(rig_c, rig.expansion_per_k)
+        for sensor in rig.sensors
+        for line in range(len(sensor.planes))
+    }
+    grids = station_grids(cloud, poses, int(cloud["frame"].to_numpy().max()) + 1)
+    found = {}
     for row in registrations.to_pylist():
-        views = rows.get(row["station"], [])
-        if row["method"] == "icp" and row["station"].endswith("_wheel") and len(views) == 2:
-            information = _pose_information(views[0], views[1], noise)
-            if np.linalg.matrix_rank(information) == 3:
-                least_mm = float(np.sqrt(np.linalg.inv(information)[0, 0]))
-                found[row["station"].removesuffix("_wheel")] = 1e3 * least_mm / row["u_lateral_um"]
+        if row["method"] != "icp" or not row["station"].endswith("_wheel"):
+            continue
+        views = [(row[f"{end}_sensor_id"], row[f"{end}_line"]) for end in ("source", "target")]
+        means = [
+            mean_meridian(grids[v].lateral_mm, grids[v].radial_mm, np.ones(len(grids[v].lateral_mm), bool))
+            for v in views
+        ]
+        information = _pose_information(means[0], means[1], NoiseModel())
+        if np.linalg.matrix_rank(information) == 3:
+            least_mm = float(np.sqrt(np.linalg.inv(information)[0, 0]))
+            found[row["station"].removesuffix("_wheel")] = 1e3 * least_mm / row["u_lateral_um"]
     return found
 
 
-def _pose_information(one: _Rows, other: _Rows, noise: NoiseModel) -> Array:
+def _pose_information(one: MeanMeridian, other: MeanMeridian, noise: NoiseModel) -> Array:
     """Fisher information (3, 3) about a lateral and a radial shift (mm) and a turn in the meridian plane (rad) between two
     sensors, of the rows that both see; the curve that they see is not known, so that only their difference tells."""
-    tree = cKDTree(np.column_stack([other.lateral_mm, other.radial_mm]))
-    points = np.column_stack([one.lateral_mm, one.radial_mm])
-    distance, partner = tree.query(points)
+    (points, own), (others, theirs) = _with_noise(one), _with_noise(other)
+    distance, partner = cKDTree(others).query(points)
     both = np.flatnonzero(distance < TOGETHER_MM)
-    (normal, step), (_, other_step) = _normals(one), _normals(other)
-    n, partner = normal[both], partner[both]
-    own = (one.sigma_mm[both] * (one.towards[both] * n).sum(axis=1)) ** 2
-    theirs = (other.sigma_mm[partner] * (other.towards[partner] * n).sum(axis=1)) ** 2
+    if not both.size:
+        return np.zeros((3, 3))
+    partner = partner[both]
+    (normal, step), (_, other_step) = _normals(points), _normals(others)
+    n = normal[both]
     # Rows of a sensor share their speckle over some lines; of the other sensor there may be more or fewer to a row.
     share = noise.speckle_px**2 / (noise.speckle_px**2 + noise.white_px**2)
     length = 1 - share + share * np.sqrt(2 * np.pi) * noise.speckle_rows
-    variance = length * (own + theirs * other_step[partner] / step[both])
+    across = [(vectors * n).sum(axis=1) ** 2 for vectors in (own[both], theirs[partner])]
+    variance = length * (across[0] + across[1] * other_step[partner] / step[both])
     about = points[both] - points[both].mean(axis=0)
     columns = np.column_stack([n, n[:, 1] * about[:, 0] - n[:, 0] * about[:, 1]])
-    return (
-        float(np.median(one.n_frames[both])) * (columns / variance[:, None]).T @ columns
-        if len(both)
-        else np.zeros((3, 3))
-    )
+    return (columns / variance[:, None]).T @ columns
 
 
-def _normals(rows: _Rows) -> tuple[Array, Array]:
-    """Unit normals (rows, 2) of a meridian, and the distance from row to row in mm."""
-    at, points = np.arange(len(rows.row)), np.column_stack([rows.lateral_mm, rows.radial_mm])
+def _with_noise(mean: MeanMeridian) -> tuple[Array, Array]:
+    """Rows of a meridian (n, 2), and the noise of each as a vector (n, 2), both in mm.
+
+    Its direction is the row's line of sight within the meridian. From the means that leave groups of frames out: the groups
+    are interleaved, so that run-out, which moves a row along the same line, cancels.
+    """
+    groups = len(mean.left_out_lateral_mm)
+    a, r = mean.left_out_lateral_mm - mean.lateral_mm, mean.left_out_radial_mm - mean.radial_mm
+    aa, rr, ar = ((groups - 1) / groups * (x * y).sum(axis=0) for x, y in ((a, a), (r, r), (a, r)))
+    angle = 0.5 * np.arctan2(2 * ar, aa - rr)
+    length = np.sqrt(0.5 * (aa + rr) + np.hypot(0.5 * (aa - rr), ar))
+    seen = np.isfinite(length)
+    even = median_filter(length[seen], 15)  # of 24 groups each is known to 15 %
+    vectors = even[:, None] * np.column_stack([np.cos(angle[seen]), np.sin(angle[seen])])
+    return np.column_stack([mean.lateral_mm, mean.radial_mm])[seen], vectors
+
+
+def _normals(points: Array) -> tuple[Array, Array]:
+    """Unit normals (n, 2) of a meridian (n, 2), and the distance from row to row in mm."""
+    at = np.arange(len(points))
     low, high = np.maximum(at - TANGENT_ROWS, 0), np.minimum(at + TANGENT_ROWS, at[-1])
     along = points[high] - points[low]
     length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
