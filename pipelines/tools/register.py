@@ -73,6 +73,9 @@ def register(
     start = read_pose(initial) if initial else None
     read = [read_cloud(source), read_cloud(target)]
     moved, still = (without_outliers(points, outliers) for points in read)
+    for place, before, after in zip((source, target), read, (moved, still), strict=True):
+        if len(before) and not len(after):
+            raise ConfigError(f"{place}: --outliers {outliers} leaves none of its {len(before)} points; leave it out")
     began = time.monotonic()
     try:
         found = register_clouds(moved, still, start, method=method, reach=max_distance)

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from pipelines.tools import tool_app
 from pipelines.tools.clouds import read_cloud, read_pose
+from pipelines.tools.register import without_outliers
 from wheelset_assets.metrology import rigid
 from wheelset_assets.quality import ConfigError
 
@@ -124,7 +125,17 @@ def test_outliers_are_left_out_on_demand(hills, tmp_path, kind):
     found = json.loads(printed)
     assert code == 0
     assert 250 < found["n_outliers"] < 900
+    kept = without_outliers(dirty, kind)
+    assert len(kept) > 0.97 * len(source)
+    left_over = np.isin(kept.round(9).view([("", float)] * 3), dirt.round(9).view([("", float)] * 3)).sum()
+    assert left_over < 0.5 * len(dirt)
     assert found["n_source"] + found["n_target"] + found["n_outliers"] == len(dirty) + len(target)
     error = np.array(found["target_from_source"]) @ rigid.inverse(truth)
     assert np.abs(error[:3, 3] + error[:3, :3] @ target.mean(axis=0) - target.mean(axis=0)).max() < 0.2
     assert json.loads(call(*places, "--json")[1])["n_outliers"] == 0
+
+
+def test_removing_every_point_names_the_option(hills, tmp_path):
+    places = write(hills[0][:2], tmp_path / "a.parquet"), write(hills[1], tmp_path / "b.parquet")
+    with pytest.raises(ConfigError, match="--outliers radius leaves none"):
+        call(*places, "--outliers", "radius")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from wheelset_assets.config import MeasurementConfig
@@ -37,3 +38,12 @@ def test_frames_out_of_step_flag_their_station_and_no_other(product, world, fram
     station = next(s.station for s in world.rig.sensors if s.sensor_id == name)
     marked = {s for s, flags in found.items() if flags & Flag.CAMERAS_OUT_OF_STEP}
     assert marked == ({station} if flagged else set())
+
+
+def test_frames_of_a_good_scan_scatter_about_their_plane_by_their_noise(product):
+    """Both rays' noise, its correlation along the rows and the lens are in the claim; six sensors of 48 frames, two-sided."""
+    rows = product.tables.stripe_statistics.to_pylist()
+    freedom = sum(row["n_frames"] - 1 for row in rows)
+    square = np.mean([row["frame_pull"] ** 2 for row in rows])
+    assert freedom > 200
+    assert abs(square - 1.0) < 3.3 * np.sqrt(2.0 / freedom), square
