@@ -13,6 +13,7 @@ from small_world import CONFIG, SEED, audited, one
 
 from benchmarks.drift import changed
 from wheelset_assets import stages, tables
+from wheelset_assets.metrology.laser_plane import Make
 from wheelset_assets.metrology.uncertainty import COVERAGE_FACTOR
 from wheelset_assets.quantities import QUANTITIES
 from wheelset_assets.simulation.schedule import Conditions
@@ -69,6 +70,16 @@ def test_a_flat_goes_through_all_stages(world):
     assert "not_detected" in one(found.measurements, quantity="flat_depth", side="right")["quality_flags"]
     deepest = one(found.wheel_flats, side="left", number=1)
     assert deepest["n_frames"] >= 2
+
+
+def test_a_sensor_that_stands_where_no_maker_put_it_is_flagged_up_to_the_values(world, product, monkeypatch):
+    """A maker who promises micrometres: what the laser planes say of the poses is then beyond the promise."""
+    assert not any("far_from_nominal" in r["quality_flags"] for r in product.tables.measurements.to_pylist())
+    monkeypatch.setattr("wheelset_assets.stages.pose.MAKE", Make(1e-3, 1e-6, 1e-3, 1e-6))
+    found = world.process(world.scan(draw_wheelset(SEED, 8, "WS-008", "S1002"), 41), world.reference)
+    for name in ("wheel_diameter", "flange_height"):
+        assert "far_from_nominal" in one(found.measurements, quantity=name, side="left")["quality_flags"]
+    assert "far_from_nominal" in one(found.measurements, quantity="inner_distance", side="both")["quality_flags"]
 
 
 def test_zeroed_quantities_against_the_truth_two_sided(several):
