@@ -7,13 +7,14 @@ directions the data decided.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wheelset_assets.metrology import rigid
+from wheelset_assets.metrology.revolution import RowNoise
 from wheelset_assets.quality import AlgorithmFailed
 
 Array = NDArray[Any]
@@ -107,6 +108,8 @@ class CurveProjection:
     normal: Array
     valid: NDArray[np.bool_]
     nearest_mm: Array
+    nearest: Index
+    """Which of the curve's points is nearest."""
 
 
 SIDE_POINTS = 4
@@ -154,7 +157,7 @@ def project_on_curve(points: Array, curve: Array, half_width_mm: float = 1.5, ha
     before = ((weight > 0) & (x < px[:, None])).sum(axis=1)
     inside = np.minimum(before, count - before) >= SIDE_POINTS
     curve_normal = (normal - slope[:, None] * tangent) / stretch[:, None]
-    return CurveProjection(gap / stretch, curve_normal, solvable & inside, np.linalg.norm(relative, axis=1))
+    return CurveProjection(gap / stretch, curve_normal, solvable & inside, np.linalg.norm(relative, axis=1), nearest)
 
 
 def _nearest(points: Array, curve: Array) -> Index:
@@ -241,7 +244,12 @@ class IcpSettings:
 
 
 def register_meridians(
-    source: Array, target: Array, direction_deg: float, start: Array, settings: IcpSettings
+    source: Array,
+    target: Array,
+    direction_deg: float,
+    start: Array,
+    settings: IcpSettings,
+    noise: tuple[RowNoise, RowNoise] | None = None,
 ) -> MeridianRegistration:
     """ICP (eq. 25-26, point to curve) of a source meridian onto a target meridian, with the nominal pose as a prior.
 
@@ -249,6 +257,9 @@ def register_meridians(
     of the rig frame to begin with. All six directions are free; those on which the data are silent stay where the
     prior holds them. The form floor is an error that is common to all pairs: it keeps directions that change the
     profile by less than that from counting as known. Raises AlgorithmFailed if too few pairs are left.
+
+    Residuals tell the uncertainty, but they are few that are independent, and the target's noise, which each foot smooths,
+    hides in their slowest part: where the noise of both curves' rows is given, no less is claimed than it leaves.
     """
     if (fewest := min(len(source), len(target))) < settings.min_pairs:
         raise AlgorithmFailed("a sensor saw too few rows to be registered", rows=fewest, required=settings.min_pairs)
@@ -277,9 +288,43 @@ def register_meridians(
             break
     if pairs.n < settings.min_pairs:
         raise AlgorithmFailed("too few points of two sensors lie together", pairs=pairs.n, required=settings.min_pairs)
-    return _summarise(
+    found = _summarise(
         points, motion, centre, pairs, prior, settings, radial_axis, done, step < settings.convergence_mm * 100
     )
+    if noise is None:
+        return found
+    least = _least_u(pairs, centre, radial_axis, (_steps(points), _steps(target)), noise)
+    names = ("u_rotation_rad", "u_lateral_mm", "u_radial_mm")
+    return replace(found, **{name: max(getattr(found, name), u) for name, u in zip(names, least, strict=True)})
+
+
+def _least_u(
+    pairs: _Pairs, centre: Array, radial_axis: Array, steps: tuple[Array, Array], noise: tuple[RowNoise, RowNoise]
+) -> tuple[float, float, float]:
+    """Standard uncertainties of turn (rad), lateral and radial shift (mm) that the rows' own noise leaves of the weighted
+    fit; zero where it is not known. Of the target as many rows go to one of the source's as it has more of a millimetre."""
+    tangential = np.cross([1.0, 0, 0], radial_axis)
+    in_plane = np.column_stack([pairs.normal[:, 0], pairs.normal @ radial_axis])
+    turned = np.cross(pairs.moved - centre, pairs.normal) @ tangential
+    columns = np.column_stack([turned, in_plane])
+    across = [(n.vectors_mm[rows] * in_plane).sum(axis=1) ** 2 for n, rows in zip(noise, pairs.rows, strict=True)]
+    denser = steps[1][pairs.rows[1]] / steps[0][pairs.rows[0]]
+    variance = noise[0].length_rows * across[0] + noise[1].length_rows * across[1] * denser
+    if not (known := np.isfinite(variance)).any():
+        return 0.0, 0.0, 0.0
+    variance = np.where(known, variance, np.median(variance[known]))
+    weighted = columns * pairs.weight[:, None]
+    inverse = np.linalg.pinv(columns.T @ weighted)
+    covariance = inverse @ (weighted.T @ (weighted * variance[:, None])) @ inverse
+    turn, lateral, radial = np.sqrt(np.nan_to_num(np.diag(covariance)))
+    return float(turn), float(lateral), float(radial)
+
+
+def _steps(curve: Array, rows: int = 4) -> Array:
+    """Distance from row to row of a curve (n, k) in mm, over some rows to either side."""
+    at = np.arange(len(curve))
+    low, high = np.maximum(at - rows, 0), np.minimum(at + rows, len(curve) - 1)
+    return np.asarray(np.maximum(np.linalg.norm(curve[high] - curve[low], axis=1) / np.maximum(high - low, 1), 1e-6))
 
 
 @dataclass(frozen=True)
@@ -292,6 +337,8 @@ class _Pairs:
     """Tukey's, of the distance: where a profile has a kink, or dirt, neither sensor's curve is the surface."""
     sigma: float
     share: float
+    rows: tuple[Index, Index]
+    """Of each pair, which point of the source, and which is nearest to it of the target."""
 
 
 def _pairs(points: Array, motion: Array, target: Array, reach: float) -> _Pairs:
@@ -304,7 +351,8 @@ def _pairs(points: Array, motion: Array, target: Array, reach: float) -> _Pairs:
     distance = projection.distance_mm[keep]
     sigma = max(1.4826 * float(np.median(np.abs(distance))), LEAST_SIGMA_MM) if keep.any() else reach
     weight = np.clip(1.0 - (distance / (TUKEY * sigma)) ** 2, 0.0, None) ** 2
-    return _Pairs(int(keep.sum()), moved[keep], normal, distance, weight, sigma, float(keep.mean()))
+    rows = (np.flatnonzero(keep), projection.nearest[keep])
+    return _Pairs(int(keep.sum()), moved[keep], normal, distance, weight, sigma, float(keep.mean()), rows)
 
 
 def _offset_from_nominal(motion: Array, centre: Array) -> Array:

@@ -85,6 +85,15 @@ def meridian_motion(
 
 
 @dataclass(frozen=True)
+class RowNoise:
+    """Noise of a meridian's rows: the vector (rows, 2) in mm, lateral and radial, by which one standard deviation moves
+    each, and the integral length in rows of its correlation with its neighbours'."""
+
+    vectors_mm: Array
+    length_rows: float
+
+
+@dataclass(frozen=True)
 class MeanMeridian:
     """Mean over the turn for each image row of one sensor and line: (rows,) and, leaving groups of frames out, (groups, rows)."""
 
@@ -95,6 +104,30 @@ class MeanMeridian:
     n_frames: NDArray[np.int64]
     left_out_lateral_mm: Array
     left_out_radial_mm: Array
+
+    def row_noise(self, neighbours: int = 7) -> RowNoise:
+        """Noise of the rows that were seen, in their order.
+
+        From the means that leave groups of frames out: the groups are interleaved, so that run-out, which moves a row
+        along the same line of sight, cancels. Of the standard deviation the median over some neighbours is taken.
+        """
+        seen = np.isfinite(self.lateral_mm) & np.isfinite(self.left_out_lateral_mm).all(axis=0)
+        groups = len(self.left_out_lateral_mm)
+        scale = np.sqrt((groups - 1) / groups)
+        a, r = (scale * (left - mean)[:, seen] for left, mean in (
+            (self.left_out_lateral_mm, self.lateral_mm), (self.left_out_radial_mm, self.radial_mm)
+        ))  # fmt: skip
+        angle = 0.5 * np.arctan2(2 * (a * r).sum(axis=0), (a * a - r * r).sum(axis=0))
+        along = a * np.cos(angle) + r * np.sin(angle)
+        length = np.sqrt((along**2).sum(axis=0))
+        padded = np.pad(length, neighbours, constant_values=np.nan)
+        windows = (
+            np.lib.stride_tricks.sliding_window_view(padded, 2 * neighbours + 1) if len(length) else padded[:, None]
+        )
+        even = nan_median(windows, axis=1)[: len(length)]
+        vectors = np.full((len(self.lateral_mm), 2), np.nan)
+        vectors[seen] = even[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        return RowNoise(vectors[np.isfinite(self.lateral_mm)], _integral_length(along / np.maximum(length, 1e-12)))
 
 
 def mean_meridian(
@@ -139,6 +172,17 @@ def mean_meridian(
             square = away_a.sum(axis=0)
         u = np.sqrt(square / np.where(n > 1, n - 1, np.nan) / total)
     return MeanMeridian(mean_a, mean_r, u, n, left_a, left_r)
+
+
+def _integral_length(noise: Array, least: float = 0.02, most: int = 60) -> float:
+    """Integral over the lags of the correlation of noise (groups, rows) of unit sum of squares a row."""
+    found = 1.0
+    for lag in range(1, min(most, noise.shape[1] - 1)):
+        rho = float((noise[:, lag:] * noise[:, :-lag]).sum(axis=0).mean())
+        if rho < least:
+            break
+        found += 2.0 * rho
+    return found
 
 
 def _from_frames_about(values: Array) -> Array:

@@ -20,6 +20,7 @@ from wheelset_assets.metrology.laser_plane import Make, Sensing, turned_to_axle
 from wheelset_assets.metrology.revolution import (
     MeanMeridian,
     MeridianGrid,
+    RowNoise,
     grouped_meridians,
     mean_meridian,
     meridian_motion,
@@ -183,6 +184,8 @@ class StationScan:
     grids: dict[View, MeridianGrid]
     means: dict[View, MeanMeridian]
     curves: dict[View, Array]
+    noises: dict[View, RowNoise]
+    """Noise of each of the curves' rows."""
     flags: dict[View, Flag]
     """What every registration of a view is flagged with."""
 
@@ -204,10 +207,11 @@ def station_scans(
                 for v in views
             }
             curves = {v: _curve(mean) for v, mean in means.items()}
+            noises = {v: mean.row_noise() for v, mean in means.items()}
             absent = Flag.NONE if {s.sensor_id for s in wanted} <= seen_sensors else Flag.SENSOR_MISSING
             flags = {v: absent | (Flag.FAR_FROM_NOMINAL if v in before.far else Flag.NONE) for v in views}
             known = {v: poses[v] for v in views}, {v: found[v] for v in views}
-            result.append(StationScan(station, views, *known, means, curves, flags))
+            result.append(StationScan(station, views, *known, means, curves, noises, flags))
     return result
 
 
@@ -307,7 +311,8 @@ def register_by_icp(
         config.form_floor_um * 1e-3,
         config.constrained_ratio,
     )
-    found, started_coarse = _best_start(curves[source], curves[target], direction, start, settings)
+    noise = (station.noises[source], station.noises[target])
+    found, started_coarse = _best_start(curves[source], curves[target], direction, start, settings, noise)
     if not started_coarse:
         flags |= Flag.COARSE_FROM_NOMINAL
     if found is None:
@@ -358,14 +363,21 @@ def _frequency_check(source: Array, target: Array, config: RegistrationConfig) -
 
 
 def _best_start(
-    source: Array, target: Array, direction: float, coarse: Array, settings: registration.IcpSettings
+    source: Array,
+    target: Array,
+    direction: float,
+    coarse: Array,
+    settings: registration.IcpSettings,
+    noise: tuple[RowNoise, RowNoise],
 ) -> tuple[registration.MeridianRegistration | None, bool]:
     """Fine registration from the coarse pose and from the nominal one; the better by inliers and residual is taken."""
     found: list[tuple[registration.MeridianRegistration, bool]] = []
     starts = [(np.eye(4), False)] if np.array_equal(coarse, np.eye(4)) else [(coarse, True), (np.eye(4), False)]
     for start, is_coarse in starts:
         try:
-            found.append((registration.register_meridians(source, target, direction, start, settings), is_coarse))
+            found.append(
+                (registration.register_meridians(source, target, direction, start, settings, noise), is_coarse)
+            )
         except (AlgorithmFailed, np.linalg.LinAlgError):
             continue
     if not found:

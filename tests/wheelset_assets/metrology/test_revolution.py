@@ -332,3 +332,36 @@ def test_frame_offsets_with_weights_are_weighted_means():
     rows = np.array([True, True, True, False])
     weighted, _ = rev.frame_offsets(values, np.zeros(4), rows, weights=np.array([1.0, 2.0, 1.0, 100.0]))
     assert weighted == pytest.approx([(1 + 4 + 4) / 4])
+
+
+@pytest.mark.parametrize("length", [1.0, 3.0])
+def test_the_noise_of_rows_is_found_beside_a_run_out_along_the_same_line(length):
+    """Noise along a known line of sight, correlated over the rows, and run-out a hundred times as large along it."""
+    random, frames, rows, sigma = np.random.default_rng(3), 480, 300, 0.02
+    angle = np.radians(np.linspace(20, 140, rows))
+    kernel = np.exp(-(np.linspace(-3, 3, 13) ** 2)) if length > 1 else np.ones(1)
+    kernel /= np.sqrt((kernel**2).sum())
+    white = random.standard_normal((frames, rows + len(kernel) - 1))
+    noise = sigma * np.stack([np.convolve(line, kernel, "valid") for line in white])
+    along = noise + 2.0 * np.sin(2 * np.pi * np.arange(frames) / frames)[:, None]
+    lateral = np.arange(rows) * 0.2 + along * np.cos(angle)
+    mean = rev.mean_meridian(lateral, 460 + along * np.sin(angle), np.ones(frames, bool))
+    found = mean.row_noise()
+    size = np.linalg.norm(found.vectors_mm, axis=1)
+    assert np.median(size) == pytest.approx(sigma / np.sqrt(frames), rel=0.06)
+    across = found.vectors_mm[:, 0] * np.sin(angle) - found.vectors_mm[:, 1] * np.cos(angle)
+    assert np.abs(across).max() < 0.02 * np.median(size)
+    true = (np.convolve(kernel, kernel) / (kernel**2).sum()).sum()
+    assert found.length_rows == pytest.approx(true, rel=0.15)
+
+
+def test_rows_that_were_not_seen_have_no_noise_and_others_keep_their_order():
+    random = np.random.default_rng(4)
+    lateral = np.arange(50) + 0.01 * random.standard_normal((60, 50))
+    lateral[:, 10:20] = np.nan
+    mean = rev.mean_meridian(lateral, 460 + 0 * lateral, np.ones(60, bool))
+    found = mean.row_noise()
+    assert found.vectors_mm.shape == (40, 2)
+    assert np.isfinite(found.vectors_mm).all()
+    nothing = rev.mean_meridian(np.full((60, 5), np.nan), np.full((60, 5), np.nan), np.ones(60, bool)).row_noise()
+    assert nothing.vectors_mm.shape == (0, 2)
