@@ -396,8 +396,12 @@ class Comparison:
             aside = float(np.ptp(self.config.journal_sections_mm))  # half of it, and both radii
             value.sources.append(Source("squareness to the axle", part.tilt_u_rad, "rad", aside))
             names = {s.sensor_id for s in self.rig.station_sensors(station.station)}
-            radial = max((u[1] for view, u in self.zero.registration_u.items() if view[0] in names), default=0.0)
-            value.sources.append(Source("registration of the sensors", radial, "mm", 1.0))  # half of it, and both radii
+            # Each of two sensors sees a half: its end lies a quarter of the length from its own middle. Half of it counts, in
+            # both radii.
+            apart = [
+                np.hypot(u[1], u[2] * aside / 4) for view, u in self.zero.registration_u.items() if view[0] in names
+            ]
+            value.sources.append(Source("registration of the sensors", float(max(apart, default=0.0)), "mm", 1.0))
         return value, None, reading.flags | self.moved.get(station.station, Flag.NONE)
 
     def _distance(self, quantity: str) -> Result:
@@ -454,7 +458,7 @@ class Comparison:
         """
         across = TAPER_MM if quantity == "journal_taper" else 0.0
         # Of a journal that several sensors see, one end may lie in each: both radii follow.
-        apart = dict.fromkeys(self.zero.registration_u, (0.0, 2.0, 0.0)) if across else {}
+        apart = dict.fromkeys(self.zero.registration_u, (0.0, 2.0, 2.0 * TAPER_MM / 4)) if across else {}
         lever = reading.lever
         if lever is None:
             length = abs(reading.value)
