@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from wheelset_assets.metrology.revolution import MeanMeridian, mean_meridian
@@ -240,20 +239,11 @@ def _pose_information(one: MeanMeridian, other: MeanMeridian, noise: NoiseModel)
 
 
 def _with_noise(mean: MeanMeridian) -> tuple[Array, Array]:
-    """Rows of a meridian (n, 2), and the noise of each as a vector (n, 2), both in mm.
-
-    Its direction is the row's line of sight within the meridian. From the means that leave groups of frames out: the groups
-    are interleaved, so that run-out, which moves a row along the same line, cancels.
-    """
-    groups = len(mean.left_out_lateral_mm)
-    a, r = mean.left_out_lateral_mm - mean.lateral_mm, mean.left_out_radial_mm - mean.radial_mm
-    aa, rr, ar = ((groups - 1) / groups * (x * y).sum(axis=0) for x, y in ((a, a), (r, r), (a, r)))
-    angle = 0.5 * np.arctan2(2 * ar, aa - rr)
-    length = np.sqrt(0.5 * (aa + rr) + np.hypot(0.5 * (aa - rr), ar))
-    seen = np.isfinite(length)
-    even = median_filter(length[seen], 15)  # of 24 groups each is known to 15 %
-    vectors = even[:, None] * np.column_stack([np.cos(angle[seen]), np.sin(angle[seen])])
-    return np.column_stack([mean.lateral_mm, mean.radial_mm])[seen], vectors
+    """Rows of a meridian (n, 2), and the noise of each as a vector (n, 2), both in mm."""
+    points = np.column_stack([mean.lateral_mm, mean.radial_mm])[np.isfinite(mean.lateral_mm)]
+    vectors = mean.row_noise().vectors_mm
+    known = np.isfinite(vectors[:, 0])
+    return points[known], vectors[known]
 
 
 def _normals(points: Array) -> tuple[Array, Array]:
