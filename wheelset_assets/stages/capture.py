@@ -17,6 +17,7 @@ from wheelset_assets.metrology.boards import CalibrationBoard, pair_order, see_b
 from wheelset_assets.metrology.calibration import StereoCalibration, calibrate_stereo
 from wheelset_assets.metrology.epipolar import EpipolarResidual, epipolar_residual
 from wheelset_assets.metrology.laser_plane import LaserPlane, fit_laser_plane, off_plane
+from wheelset_assets.metrology.stripe_noise import stripe_noise
 from wheelset_assets.metrology.stripes import extract_centres, second_line, tell_lines_apart
 from wheelset_assets.metrology.synchrony import frame_offsets
 from wheelset_assets.quality import AlgorithmFailed, ConfigError, ScanUnusable
@@ -352,7 +353,7 @@ def _triangulate(
     sensor_size: tuple[int, int] | None,
     config: TriangulationConfig,
 ) -> tuple[pa.Table, dict[str, Any]]:
-    noise = [tri.stripe_noise(u) for u in (stripe.left_u_px, stripe.right_u_px)]
+    noise = [stripe_noise(u) for u in (stripe.left_u_px, stripe.right_u_px)]
     known = [n for n in noise if n is not None]
     sigma = float(np.sqrt(np.mean([n.sigma_px**2 for n in known]))) if known else float("nan")
     length = float(np.mean([n.correlation_rows for n in known])) if known else None

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from two_sided import assert_pulls, mean_square_interval
 
 from wheelset_assets.metrology import triangulation as tri
+from wheelset_assets.metrology.stripe_noise import StripeNoise, stripe_noise
 from wheelset_assets.quality import AlgorithmFailed
 
 LENS = np.array([-0.11, 0.08, 3e-4, -4e-4, -0.04])
@@ -355,7 +356,7 @@ def test_stripe_noise_is_found_from_both_sides(white, wide, rows):
         u += wide * np.apply_along_axis(np.convolve, 1, random.standard_normal((frames, n + 24)), kernel, "valid")
     u[random.random(u.shape) < 0.002] += 30.0
     u[random.random(u.shape) < 0.01] = np.nan
-    found = tri.stripe_noise(u)
+    found = stripe_noise(u)
     sigma = np.hypot(white, wide)
     lags = np.arange(1, 40)
     correlation = wide**2 / sigma**2 * np.exp(-(lags**2) / (2 * rows**2)) if rows else np.zeros(39)
@@ -372,10 +373,10 @@ def test_stripe_noise_is_found_from_both_sides(white, wide, rows):
 
 def test_stripe_noise_needs_three_frames_and_some_centres():
     u = np.random.default_rng(0).normal(size=(6, 200))
-    assert tri.stripe_noise(u[:2]) is None
-    assert tri.stripe_noise(u * np.nan) is None
-    assert tri.stripe_noise(u[:, :10]) is None
-    assert tri.stripe_noise(np.ones((6, 200))) == tri.StripeNoise(0.0, 1.0)
+    assert stripe_noise(u[:2]) is None
+    assert stripe_noise(u * np.nan) is None
+    assert stripe_noise(u[:, :10]) is None
+    assert stripe_noise(np.ones((6, 200))) == StripeNoise(0.0, 1.0)
 
 
 def test_depth_uncertainty_two_sided(sensor):
