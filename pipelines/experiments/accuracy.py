@@ -61,8 +61,8 @@ def accuracy(
     of 40 degrees unseen, one in ten grease on the datum circle, one a flat, one five times the outliers. The p-value is
     two-sided, of the binomial distribution: below 0.001 the claimed uncertainty is refuted, as too small or as too large.
     Spread / bound: against the Cramér-Rao bound of the stripes' noise, the axis and the thermometers (exact series); of
-    quantities that no master zeroes, of noise, calibration, sensing plane and registration. A one-sided sensor cannot see the axis: half
-    a micrometre of it is as much as the target of the journals; `--axis-um 0` shows what the rest does.
+    quantities that no master zeroes, of noise, calibration, sensing plane and registration. A one-sided sensor cannot see
+    the axis: half a micrometre of it is as much as the target of the journals; `--axis-um 0` shows what the rest does.
     """
     from pipelines.experiments.output import computed, tell, write
     from pipelines.experiments.virtual import SERIES, Job, run_draw

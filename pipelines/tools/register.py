@@ -65,17 +65,13 @@ def register(
     Keypoint-free: every point of thinned clouds gets a descriptor (FPFH), groups of matches that agree pairwise propose
     poses, the surfaces decide, ICP refines. Lengths are in the clouds' own unit. Exit code 3: no pose, and why.
     """
-    from pipelines.tools.clouds import read_cloud, read_pose
+    from pipelines.tools.clouds import read_pose
     from wheelset_assets.metrology.global_registration import register_clouds
 
     if max_distance is not None and not max_distance > 0:
         raise ConfigError(f"--max-distance {max_distance}: must be positive")
     start = read_pose(initial) if initial else None
-    read = [read_cloud(source), read_cloud(target)]
-    moved, still = (without_outliers(points, outliers) for points in read)
-    for place, before, after in zip((source, target), read, (moved, still), strict=True):
-        if len(before) and not len(after):
-            raise ConfigError(f"{place}: --outliers {outliers} leaves none of its {len(before)} points; leave it out")
+    (moved, gone), (still, also_gone) = (_cloud(place, outliers) for place in (source, target))
     began = time.monotonic()
     try:
         found = register_clouds(moved, still, start, method=method, reach=max_distance)
@@ -91,7 +87,7 @@ def register(
         "target": str(target),
         "n_source": len(moved),
         "n_target": len(still),
-        "n_outliers": sum(map(len, read)) - len(moved) - len(still),
+        "n_outliers": gone + also_gone,
         "method": method,
         "seconds": time.monotonic() - began,
     }
@@ -102,6 +98,17 @@ def register(
     else:
         _show(document, out)
     return 0
+
+
+def _cloud(place: Path, outliers: str) -> tuple[Array, int]:
+    """A file's points without outliers, and how many these were; ConfigError where none is left."""
+    from pipelines.tools.clouds import read_cloud
+
+    points = read_cloud(place)
+    kept = without_outliers(points, outliers)
+    if len(points) and not len(kept):
+        raise ConfigError(f"{place}: --outliers {outliers} leaves none of its {len(points)} points; leave it out")
+    return kept, len(points) - len(kept)
 
 
 def without_outliers(points: Array, kind: str) -> Array:

@@ -315,9 +315,8 @@ class Comparison:
         if (known := self.zero.sensing.get(view)) is not None:
             return known
         reach = float(np.hypot(*self.zero.poses[view][1:3, 3]))
-        station = next(
-            s for s in self.rig.stations if view[0] in {k.sensor_id for k in self.rig.station_sensors(s.station)}
-        )
+        name = next(s.station for s in self.rig.sensors if s.sensor_id == view[0])
+        station = next(s for s in self.rig.stations if s.station == name)
         diameter = self.read.get((f"{station.kind}_diameter", station.side))
         radius = 0.5 * diameter.value if diameter is not None and diameter.reason is None else reach
         u_offset = float(np.hypot(reach * self.tolerances.pose_rad, self.config.nominal_translation_mm / np.sqrt(3)))
