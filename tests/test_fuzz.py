@@ -32,6 +32,16 @@ def test_a_spoilt_bundle_is_refused_flagged_or_changes_nothing_that_counts(base,
     assert not problems, problems
 
 
+def test_what_a_process_judges_by_survives_json():
+    import json
+
+    from benchmarks.fuzz import Base, kept, restored
+
+    values = {("qr", "left"): (10.8, 0.03, frozenset({"outliers"})), ("rim_width", "left"): (None, None, frozenset())}
+    base = Base(Path("there"), "S", values, {("qr", "left"): 10.79})
+    assert restored(json.loads(json.dumps(kept(base))), Path("there")) == base
+
+
 def test_a_value_that_is_wrong_without_a_flag_is_noticed():
     from benchmarks.fuzz import Base, _compare
 

@@ -78,7 +78,13 @@ def register(
     except AlgorithmFailed as failure:
         if as_json:
             print_json(
-                {"source": str(source), "target": str(target), "target_from_source": None, "reason": str(failure)}
+                {
+                    "source": str(source),
+                    "target": str(target),
+                    "n_outliers": gone + also_gone,
+                    "target_from_source": None,
+                    "reason": str(failure),
+                }
             )
         print(f"wheelset: no registration: {failure}", file=sys.stderr)
         return REFUSED
