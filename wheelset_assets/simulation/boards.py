@@ -20,12 +20,14 @@ from .streams import stream
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
+Cells = NDArray[np.int16]
 
 DARK, BRIGHT = 34.0, 205.0
 BLUR_PX = 0.6
 GREY_NOISE = 1.0
 EDGE_PX = 16.0  # distance that the outermost inner corner keeps from the image's edge, at 1024 rows
 CANDIDATES, MOST_ATTEMPTS = 30, 400
+BLOCK_ROWS = 16  # rows of an image that are rendered at once: what stays in the cache
 SAMPLES = 55  # Fibonacci lattice: no two samples of a pixel share a row or a column
 # fmt: off
 TILTS_DEG = ((0, 0), (26, 8), (-26, -8), (8, 26), (-8, -26), (30, -28), (-30, 28), (20, 20), (-20, -20), (0, 33),
@@ -142,7 +144,9 @@ def pixel_rays(camera: Camera) -> PixelRays:
     """Exact rays of the pixel corners, at u = -0.5 ... width - 0.5."""
     width, height = camera.image_size
     u, v = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5)
-    return PixelRays(*camera.rays(u, v))
+    blocks = [slice(k, k + BLOCK_ROWS) for k in range(0, height + 1, BLOCK_ROWS)]
+    x, y = zip(*(camera.rays(u[rows], v[rows]) for rows in blocks), strict=True)
+    return PixelRays(np.concatenate(x), np.concatenate(y))
 
 
 def render(board: Board, camera_from_board: Array, rays: PixelRays, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -151,13 +155,15 @@ def render(board: Board, camera_from_board: Array, rays: PixelRays, rng: np.rand
 
     # Board plane from ray, up to scale: the homography of the board, inverted.
     from_ray: Array = np.linalg.inv(camera_from_board[:3, [0, 1, 3]]).astype(float)
-    a, b = _squares(board, from_ray, rays.x, rays.y)
-    cell = np.floor(a).astype(np.int16) * np.int16(64) + np.floor(b).astype(np.int16)
-    image = _colour(board, a[:-1, :-1], b[:-1, :-1])
-    edge = (cell[1:, 1:] != cell[:-1, :-1]) | (cell[1:, :-1] != cell[:-1, :-1]) | (cell[:-1, 1:] != cell[:-1, :-1])
-    rows, columns = np.nonzero(edge & _on_board(board, a, b))
+    height, width = rays.x.shape[0] - 1, rays.x.shape[1] - 1
+    image, edge = np.empty((height, width), np.float32), np.empty((height, width), bool)
+    for start in range(0, height, BLOCK_ROWS):
+        of_pixels, of_corners = slice(start, start + BLOCK_ROWS), slice(start, start + BLOCK_ROWS + 1)
+        a, b = _cell(board, *_squares(board, from_ray, rays.x[of_corners], rays.y[of_corners]))
+        image[of_pixels] = _colour(board, a[:-1, :-1], b[:-1, :-1])
+        edge[of_pixels] = _on_edge(board, a, b)
+    rows, columns = np.nonzero(edge)
     image[rows, columns] = _supersampled(board, from_ray, rays, rows, columns)
-    height, width = image.shape
     fall = rng.uniform(-0.04, 0.04, 2)  # light falls off by a few per cent across the field
     light = 1.0 + fall[0] * np.linspace(-1, 1, height)[:, None] + fall[1] * np.linspace(-1, 1, width)
     image = cv2.GaussianBlur(image * light, (0, 0), BLUR_PX)
@@ -172,17 +178,28 @@ def _squares(board: Board, from_ray: Array, x: Array, y: Array) -> tuple[Array, 
     return one * scale + 1.0, two * scale + 1.0
 
 
-def _colour(board: Board, a: Array, b: Array) -> Grey:
+def _cell(board: Board, a: Array, b: Array) -> tuple[Cells, Cells]:
+    """Whole squares of positions on the board; beyond two squares off it, any such number."""
     columns, rows = board.inner_corners
-    dark = ((np.floor(a) + np.floor(b)) % 2 == 0) & (a >= 0) & (b >= 0) & (a < columns + 1) & (b < rows + 1)
-    return np.where(dark, np.float32(DARK), np.float32(BRIGHT)).astype(np.float32)
+    return (
+        np.floor(np.clip(a, -2.0, columns + 3.0)).astype(np.int16),
+        np.floor(np.clip(b, -2.0, rows + 3.0)).astype(np.int16),
+    )
 
 
-def _on_board(board: Board, a: Array, b: Array) -> NDArray[np.bool_]:
-    """Pixels (height, width) near the board: only there do edges of squares show."""
+def _colour(board: Board, a: Cells, b: Cells) -> Grey:
     columns, rows = board.inner_corners
-    near = (a > -1) & (b > -1) & (a < columns + 2) & (b < rows + 2)
-    return near[:-1, :-1]
+    dark = ((a + b) & 1 == 0) & (a >= 0) & (b >= 0) & (a < columns + 1) & (b < rows + 1)
+    return np.where(dark, np.float32(DARK), np.float32(BRIGHT))
+
+
+def _on_edge(board: Board, a: Cells, b: Cells) -> NDArray[np.bool_]:
+    """Pixels (height, width) on and near the board whose corners (height + 1, width + 1) lie in different squares."""
+    columns, rows = board.inner_corners
+    cell = a * np.int16(64) + b
+    here, a, b = cell[:-1, :-1], a[:-1, :-1], b[:-1, :-1]
+    near = (a >= -1) & (b >= -1) & (a < columns + 2) & (b < rows + 2)
+    return near & ((cell[1:, 1:] != here) | (cell[1:, :-1] != here) | (cell[:-1, 1:] != here))
 
 
 def _supersampled(
@@ -198,5 +215,5 @@ def _supersampled(
         x, y = (
             np.stack([f[r, c], f[r, c + 1], f[r + 1, c], f[r + 1, c + 1]], axis=1) @ weights for f in (rays.x, rays.y)
         )
-        out[start : start + 4096] = _colour(board, *_squares(board, from_ray, x, y)).mean(axis=1)
+        out[start : start + 4096] = _colour(board, *_cell(board, *_squares(board, from_ray, x, y))).mean(axis=1)
     return out
