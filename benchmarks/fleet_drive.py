@@ -1,7 +1,7 @@
 """The process that is measured by `benchmarks.fleet_night`: one run through Dagster, and what it cost its driver.
 
-With `recorded`, the stages' own functions are not called again for every copy of a template: what they returned for the
-first is given back. Reading, checking, writing, ledger and Dagster are the program's, unchanged.
+With `recorded`, the stages' own functions are not called again for every copy of a template, nor for a calibration: what
+they returned for the first is given back. Reading, checking, writing, ledger and Dagster are the program's, unchanged.
 """
 
 from __future__ import annotations
@@ -40,11 +40,13 @@ def _timed(stage: Any, task: Any, got: Mapping[str, Any]) -> Mapping[str, pa.Tab
 
 
 def _looked_up(stage: Any, task: Any, got: Mapping[str, Any]) -> Mapping[str, pa.Table]:
-    template = task.scan.comment if task.scan is not None else None
-    if template is None:
+    if task.scan is None:
+        name = task.calibration.calibration_id if task.calibration is not None else None
+    elif name := task.scan.comment:
+        name = f"{name}-{'first' if task.scan.scan_id == 'ref-0000' else task.scan.purpose}"
+    if not name:
         return stage.run(**got, config=task.config)  # type: ignore[no-any-return]
-    purpose = "first" if task.scan.scan_id == "ref-0000" else task.scan.purpose
-    folder = Path(os.environ[RECORDED]) / stage.name / f"{template}-{purpose}"
+    folder = Path(os.environ[RECORDED]) / stage.name / name
     if not folder.exists():
         made = stage.run(**got, config=task.config)
         staged = folder.with_name(f".{folder.name}-{os.getpid()}")
@@ -59,7 +61,8 @@ def _looked_up(stage: Any, task: Any, got: Mapping[str, Any]) -> Mapping[str, pa
     found = {}
     for table in stage.outputs:
         with pa.OSFile(str(folder / table.name), "rb") as file:
-            found[table.name] = _of_this_scan(pa.ipc.open_file(file).read_all(), task)
+            kept = pa.ipc.open_file(file).read_all()
+            found[table.name] = kept if task.scan is None else _of_this_scan(kept, task)
     return found
 
 

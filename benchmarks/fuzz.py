@@ -230,7 +230,10 @@ def _readable(place: Path, names: int) -> str | None:
 
 
 def _compare(base: Base, found: Values) -> tuple[str, str | None]:
-    """As U is a statement of probability: of the values one in twenty may be off by more than U, none by 1.5 times U."""
+    """As U is a statement of probability: of the values one in twenty may be off by more than U, none by 1.5 times U.
+
+    Off from the good scan's value or from the truth, whichever is nearer: two scans of other noise may lie on either side.
+    """
     outcome, off = "unchanged", []
     for key, (value, u, flags) in base.values.items():
         new, new_u, new_flags = found.get(key, (None, None, frozenset()))
@@ -239,8 +242,9 @@ def _compare(base: Base, found: Values) -> tuple[str, str | None]:
         elif new_flags - flags:
             outcome = "flagged" if outcome != "values refused" else outcome
         elif value is not None and u is not None and new_u is not None:
-            ratio = abs(new - value) / max(u, new_u, 1e-12)
-            if ratio > 1 and abs(new - base.truth.get(key, np.inf)) <= new_u:
+            change = abs(new - value) / max(u, new_u, 1e-12)
+            ratio = min(change, abs(new - base.truth.get(key, np.inf)) / max(new_u, 1e-12))
+            if change > 1 >= ratio:
                 outcome = "U holds the truth" if outcome in ("unchanged", "within U") else outcome
             elif ratio > 1:
                 off.append((ratio, f"{' '.join(key)}: {value:.4f} became {new:.4f}, U = {new_u:.4f}, without a flag"))

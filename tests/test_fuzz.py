@@ -51,6 +51,8 @@ def test_a_value_that_is_wrong_without_a_flag_is_noticed():
         (920.0, (), "unchanged"),
         (920.004, (), "within U"),
         (920.0085, (), "U holds the truth"),
+        (920.0105, (), "within U"),  # 2.1 U from the good value, 1.3 U from the truth
+        (920.0120, (), "wrong"),
         (919.9945, (), "within U"),  # one of few may, by less than 1.5 U
         (919.992, (), "wrong"),
         (920.1, (), "wrong"),

@@ -33,8 +33,8 @@ def simulated(out: Path, **changes: object) -> dict[str, str]:
     return simulate(SimulationPlan(out=out, **plan)).faults  # type: ignore[arg-type]
 
 
-def run(inbox: Path, warehouse: Path, workers: int = 2, **options: object) -> dict:
-    """A run as the command line does it; its summary."""
+def run(inbox: Path, warehouse: Path, workers: int = 0, **options: object) -> dict:
+    """A run as the command line does it; its summary. Without workers, as starting them takes longer than a small run."""
     from pipelines.runner import run as run_night
     from pipelines.settings import settings
 

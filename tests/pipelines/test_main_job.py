@@ -299,7 +299,7 @@ LIMITS_MM = {
 
 def test_bench_inbox(shared_data: Path, tmp_path: Path) -> None:
     """An inbox made by a program that shares no code with this one."""
-    summary = run(shared_data / "bench-inbox", tmp_path / "warehouse")
+    summary = run(shared_data / "bench-inbox", tmp_path / "warehouse", workers=2)
     assert summary["measured"] == 3
     assert summary["refused"] == summary["failed"] == 0
     rows = ask(

@@ -45,7 +45,7 @@ def stored(tiny: Campaign, s3: dict[str, str]) -> Campaign:
     from s3_server import BUCKET
 
     inbox, warehouse = upload(tiny.inbox, f"s3://{BUCKET}/site/inbox"), place.place(f"s3://{BUCKET}/site/warehouse")
-    return Campaign(inbox, warehouse, tiny.faults, run(inbox, warehouse))
+    return Campaign(inbox, warehouse, tiny.faults, run(inbox, warehouse, workers=2))
 
 
 def test_local_workers_make_the_same_data(tiny: Campaign, stored: Campaign) -> None:
