@@ -9,11 +9,10 @@ import dagster as dg
 
 from pipelines import logs
 from pipelines.assets import build_assets
-from pipelines.finish import finish
+from pipelines.finish import finish, started
 from pipelines.schedules import nightly
 from pipelines.sensors import inbox_sensor
 from pipelines.settings import configuration, settings
-from warehouse.events import event
 from warehouse.night import Night
 
 A_NIGHT = 12 * 3600.0
@@ -28,14 +27,7 @@ def night_resource(_context) -> Iterator[Night]:
     with Night(
         s.warehouse, s.inbox, s.config, workers=s.workers, cluster=s.cluster, wait_seconds=A_NIGHT, bounds=s.bounds
     ) as night:
-        event(
-            "run started",
-            run_id=night.run_id,
-            inbox=s.inbox,
-            warehouse=s.warehouse,
-            workers=s.workers,
-            cluster=s.cluster,
-        )
+        started(night, s)
         night.prepare()
         yield night
         finish(night, s.notify)

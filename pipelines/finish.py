@@ -1,4 +1,6 @@
-"""What ends every run: recordings of the scans that failed in it, the catalog, and the summary for the morning."""
+"""What begins and ends every run, whoever started it: its events, recordings of the scans that failed in it, the catalog, and
+the summary for the morning.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,24 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.notify import send
+from pipelines.settings import Settings
 from warehouse import catalog, morning, reviews
 from warehouse.events import event
 from warehouse.night import Night
 from warehouse.pool import Pool
 from warehouse.summary import Summary
+
+
+def started(night: Night, s: Settings) -> None:
+    """Tell the log what this run works on."""
+    event(
+        "run started",
+        run_id=night.run_id,
+        inbox=s.inbox,
+        warehouse=s.warehouse,
+        workers=s.workers,
+        cluster=s.cluster,
+    )
 
 
 def finish(night: Night, notify: str | None = None) -> Summary:

@@ -6,10 +6,9 @@ import gc
 import logging
 from collections.abc import Callable
 
-from pipelines.finish import finish, stopped
+from pipelines.finish import finish, started, stopped
 from pipelines.history import kept_open
 from pipelines.settings import Settings, dagster_home
-from warehouse.events import event
 from warehouse.night import Night, Progress, no_progress
 from warehouse.summary import Summary
 from wheelset_assets.quality import WheelsetError
@@ -41,14 +40,7 @@ def run(
         bounds=s.bounds,
         retry_failed=retry_failed,
     ) as night:
-        event(
-            "run started",
-            run_id=night.run_id,
-            inbox=s.inbox,
-            warehouse=s.warehouse,
-            workers=s.workers,
-            cluster=s.cluster,
-        )
+        started(night, s)
         try:
             _work(s, night)
             return finish(night, s.notify)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from pipelines.experiments import experiment_app
-from pipelines.experiments.output import FigureOption, OutOption, ScanOption
+from pipelines.experiments.output import FigureOption, OutOption, ScanOption, SensorOption
 from pipelines.options import ConfigOption, JsonOption, WarehouseOption
 
 PAPER_RANGE_MM, PAPER_MEAN_MM = 0.03187, 71.6318
@@ -17,9 +17,7 @@ PAPER_RANGE_MM, PAPER_MEAN_MM = 0.03187, 71.6318
 def depth(
     scan: ScanOption = None,
     warehouse: WarehouseOption = None,
-    sensor: Annotated[
-        str | None, typer.Option("--sensor", help="Sensor of the scan [default: its first wheel sensor]")
-    ] = None,
+    sensor: SensorOption = None,
     at_mm: Annotated[
         float | None, typer.Option("--at-mm", help="Place along the stripe, sensor frame [default: its middle]")
     ] = None,

@@ -29,6 +29,10 @@ OutOption = Annotated[
 ScanOption = Annotated[
     str | None, typer.Option("--scan", metavar="SCAN", help="A stored scan of the warehouse instead of simulated data")
 ]
+SensorOption = Annotated[
+    str | None,
+    typer.Option("--sensor", help="Sensor of that scan [default: its first wheel sensor]", show_default=False),
+]
 StationOption = Annotated[
     str | None,
     typer.Option("--station", help="Station of that scan [default: its first wheel station]", show_default=False),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from pipelines.experiments import experiment_app
-from pipelines.experiments.output import FigureOption, OutOption, ScanOption
+from pipelines.experiments.output import FigureOption, OutOption, ScanOption, SensorOption
 from pipelines.options import ConfigOption, JsonOption, WarehouseOption
 
 
@@ -15,9 +13,7 @@ from pipelines.options import ConfigOption, JsonOption, WarehouseOption
 def smoothing(
     scan: ScanOption = None,
     warehouse: WarehouseOption = None,
-    sensor: Annotated[
-        str | None, typer.Option("--sensor", help="Sensor of the scan [default: its first wheel sensor]")
-    ] = None,
+    sensor: SensorOption = None,
     config: ConfigOption = None,
     out: OutOption = None,
     figure: FigureOption = "png",

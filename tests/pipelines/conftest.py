@@ -21,9 +21,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
 
     def make(base: Path) -> Campaign:
         faults = simulated(base / "inbox", faults=FAULTS)
-        return Campaign(
-            base / "inbox", base / "warehouse", faults, run(base / "inbox", base / "warehouse", workers=2)
-        )
+        return Campaign(base / "inbox", base / "warehouse", faults, run(base / "inbox", base / "warehouse", workers=2))
 
     return _once("campaign", make, tmp_path_factory)
 
