@@ -133,11 +133,17 @@ def _along(axis: int, start: int, stop: int) -> tuple[slice, slice]:
     return (slice(start, stop), slice(None)) if axis == 0 else (slice(None), slice(start, stop))
 
 
+SAMPLED = 16
+"""Of so many frames one tells how much of the noise the weights themselves bring in."""
+
+
 def bilateral(values: Array, half: int, sigma_rows: float, range_mm: float, correlation: float) -> Smoothed:
     """Pairs about each point, weighted by distance and by the agreement of their mean with the point.
 
-    A slope has pairs that agree, whatever its steepness; an edge or a curve has not. The noise factor takes the weights
-    as given: they depend a little on the noise itself.
+    A slope has pairs that agree, whatever its steepness; an edge or a curve has not. The noise factor is that of the
+    weights as given, times one for the whole grid: how much more the derivatives of the smoothed value by all that enter
+    it let through, as the weights depend on the noise as well. That is no less than the noise left (Gaussian Poincare
+    inequality), and close to it where the noise is below range_mm.
     """
     # Covariance of the weighted values, by how far they lie from the point: both sides of both.
     order = np.arange(half + 1)
@@ -147,15 +153,40 @@ def bilateral(values: Array, half: int, sigma_rows: float, range_mm: float, corr
     mean, factor = np.empty(values.shape), np.empty(values.shape)
     for part in blocks(values.shape):
         mean[part], factor[part] = _bilateral_block(values[part], sigma_rows, range_mm, joint)
+    factor *= _leaning(values[::SAMPLED], mean[::SAMPLED], factor[::SAMPLED], sigma_rows, range_mm, joint)
+    np.minimum(factor, 1.0, out=factor)  # a point that stood alone is what it was
     return Smoothed(mean, factor)
 
 
 def _bilateral_block(values: Array, sigma_rows: float, range_mm: float, joint: Array) -> tuple[Array, Array]:
-    n, half = values.shape[1], len(joint) - 1
     total, weight = values.copy(), np.ones(values.shape)
     variance = np.ones(values.shape)
-    connected = np.isfinite(values)
     kept: list[Array] = []
+    for k, (pair, w) in enumerate(_faded_pairs(values, len(joint) - 1, sigma_rows, range_mm), start=1):
+        pair *= w
+        pair *= 2.0
+        total += pair
+        weight += 2 * w
+        variance += (2 * joint[0, k]) * w
+        for i, other in enumerate(kept, start=1):
+            if joint[i, k]:
+                variance += (2 * joint[i, k]) * (w * other)
+        variance += joint[k, k] * (w * w)
+        kept.append(w)
+    total /= weight
+    np.sqrt(variance, out=variance)
+    variance /= weight
+    np.copyto(variance, np.nan, where=np.isnan(total))
+    return total, variance
+
+
+def _faded_pairs(values: Array, half: int, sigma_rows: float, range_mm: float) -> Iterator[tuple[Array, Array]]:
+    """For k = 1, 2, ... half: the means (frames, rows) of the neighbours k before and after, and their weights.
+
+    Both are zero where the pair or a nearer one is not whole.
+    """
+    n = values.shape[1]
+    connected = np.isfinite(values)
     for k in range(1, half + 1):
         w, pair = np.zeros(values.shape), np.zeros(values.shape)
         joined = np.zeros(values.shape, bool)
@@ -175,18 +206,21 @@ def _bilateral_block(values: Array, sigma_rows: float, range_mm: float, joint: A
             np.copyto(near, 0.0, where=gone)
             w[:, middle], pair[:, middle] = away, near
         connected = joined
-        pair *= w
-        pair *= 2.0
-        total += pair
-        weight += 2 * w
-        variance += (2 * joint[0, k]) * w
-        for i, other in enumerate(kept, start=1):
-            if joint[i, k]:
-                variance += (2 * joint[i, k]) * (w * other)
-        variance += joint[k, k] * (w * w)
-        kept.append(w)
-    total /= weight
-    np.sqrt(variance, out=variance)
-    variance /= weight
-    np.copyto(variance, np.nan, where=np.isnan(total))
-    return total, variance
+        yield pair, w
+
+
+def _leaning(values: Array, mean: Array, factor: Array, sigma_rows: float, range_mm: float, joint: Array) -> float:
+    """By how much the noise let through exceeds that of the weights as given, over all points of some frames."""
+    known = np.isfinite(mean)
+    if not known.any():
+        return 1.0
+    whole = np.ones(values.shape)  # sum of all weights
+    given = [np.ones(values.shape)]
+    for pair, w in _faded_pairs(values, len(joint) - 1, sigma_rows, range_mm):
+        whole += 2 * w
+        bent = w * (pair - mean) * (pair - values) / range_mm**2
+        given[0] += 2 * bent
+        given.append(w - bent)
+    stack = np.stack([g[known] for g in given])
+    variance = np.einsum("in,ij,jn->n", stack, joint, stack, optimize=True) / whole[known] ** 2
+    return float(np.sqrt(variance.sum() / np.square(factor[known]).sum()))

@@ -34,7 +34,7 @@ TRIANGULATION = Stage(
     run=run_triangulated_clouds,
 )
 FILTERING = Stage(
-    version=6,
+    version=7,
     meaning="Range gate, outliers, smoothing (eq. 14-17) and thinning on the organised grid",
     scope="scan",
     inputs=("triangulated_clouds", "stripe_statistics"),

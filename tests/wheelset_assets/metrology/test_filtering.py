@@ -262,6 +262,7 @@ def test_the_median_window_is_eq_14():
 def smoothed_slowly(depth, kind, half, sigma_rows, range_mm, edge_mm, correlation):
     """Point by point along the rows, as the docstrings say: depth and noise factor."""
     value, factor = np.full(depth.shape, np.nan), np.full(depth.shape, np.nan)
+    through = []  # bilateral: of the frames that tell, variance let through by the derivatives and by the weights
     apart = depth[:, 1:-1] - (depth[:, 2:] + depth[:, :-2]) / 2
     noise = 1.4826 * np.nanmedian(np.abs(apart - np.nanmedian(apart))) / np.sqrt(1.5)
     for f, r in np.argwhere(np.isfinite(depth)):
@@ -286,7 +287,11 @@ def smoothed_slowly(depth, kind, half, sigma_rows, range_mm, edge_mm, correlatio
         if kind != "median":
             w = w / w.sum()
             value[f, r] = w @ z
-            factor[f, r] = np.sqrt(w @ correlation ** np.abs(np.subtract.outer(at, at)) @ w)
+            joint = correlation ** np.abs(np.subtract.outer(at, at))
+            factor[f, r] = np.sqrt(w @ joint @ w)
+            if kind == "bilateral" and f % 16 == 0:
+                slope = np.array([bilateral_slope(at, z, n, sigma_rows, range_mm) for n in range(len(z))])
+                through.append((slope @ joint @ slope, factor[f, r] ** 2))
             continue
         value[f, r] = np.median(z)
         slope = (at @ z) / max((at**2).sum(), 1) / noise
@@ -296,7 +301,19 @@ def smoothed_slowly(depth, kind, half, sigma_rows, range_mm, edge_mm, correlatio
         means = [correlation ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))) for m in n]
         along = np.interp(count, n, [np.sqrt(m.mean()) for m in means])
         factor[f, r] = min(1.0, np.sqrt(np.pi / 2 / (1 / along**2 + np.pi / 2 - 1)))
+    if through:
+        factor = np.minimum(factor * np.sqrt(np.divide(*np.sum(through, axis=0))), 1.0)
     return value, factor
+
+
+def bilateral_slope(at, z, n, sigma_rows, range_mm):
+    """Derivative of the bilateral mean of z (members,), places `at`, by its n-th member: a complex step, exact to rounding."""
+    z = z.astype(complex)
+    z[n] += 1e-30j
+    of = {int(place): k for k, place in enumerate(at)}
+    pair = np.array([(z[of[int(place)]] + z[of[-int(place)]]) / 2 for place in at])
+    weight = np.exp(-((at / sigma_rows) ** 2) / 2 - ((pair - z[of[0]]) / range_mm) ** 2 / 2)
+    return (weight @ z / weight.sum()).imag / 1e-30
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "quadratic", "bilateral"])
@@ -399,6 +416,22 @@ def test_bilateral_smoothing_keeps_a_step_a_slope_and_a_gap_and_lowers_noise_as_
     inner = [10, 25, 50, 55]
     left = (found.depth_mm - course)[:, inner].std(axis=0)
     assert left / 0.01 == pytest.approx(np.median(found.noise_factor[:, inner], axis=0), rel=0.06)
+
+
+@pytest.mark.parametrize(("noise_share", "low", "high"), [(0.2, 0.98, 1.02), (0.5, 0.95, 1.02), (1.0, 0.93, 1.01)])
+@pytest.mark.parametrize("correlation", [0.0, 0.4])
+def test_bilateral_claims_the_noise_that_its_weights_bring_in(noise_share, low, high, correlation):
+    """Up to a noise as large as the range of the weights, on a slope: the noise left over the noise claimed."""
+    white = np.random.default_rng(11).standard_normal((1500, 80))
+    noise = lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], white, axis=1)[:, 20:]
+    course = 0.1 * np.arange(60)
+    found = filtering.smooth(
+        course + 0.01 * noise, "bilateral", window_rows=7, window_frames=1, sigma_rows=1.5,
+        range_mm=0.01 / noise_share, noise_correlation=correlation,
+    )  # fmt: skip
+    inner = slice(8, -8)
+    left = (found.depth_mm - course)[:, inner].std() / 0.01
+    assert low < left / np.sqrt(np.square(found.noise_factor[:, inner]).mean()) < high
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5])
