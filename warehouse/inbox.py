@@ -503,7 +503,8 @@ def _centres(table: pa.Table, name: str, height: int, width: int, shown: str) ->
         raise ScanUnusable(f"{shown}: column {name}: expected a fixed-size list of float32; found {kind}")
     if column.null_count:
         raise ScanUnusable(f"{shown}: column {name}: expected no nulls")
-    values = column.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # spoilt bits can be a signalling NaN
+        values = column.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
     lengths = (
         np.unique(pa.compute.list_value_length(column).to_numpy(zero_copy_only=False))
         if len(column)

@@ -294,6 +294,18 @@ def test_the_json_does_not_list_itself(root: Path) -> None:
     assert "every file but scan.json itself" in refused(root)
 
 
+def test_centres_that_are_no_number_in_any_form_are_unseen(root: Path) -> None:
+    """A signalling NaN, as spoilt bits make it, warns where it is cast; warnings are errors here."""
+    folder = root / "scans" / "s-1"
+    u = np.tile(np.linspace(5, 30, HEIGHT, dtype=np.float32), (FRAMES, 1))
+    u.view(np.uint32)[0, :3] = (0x7F800001, 0x7FC00000, 0x7F800000)  # signalling, quiet, infinite
+    write_stripes(folder, left_u=lists(u))
+    seal(folder)
+    (((table,),)) = (read(root)[0],)
+    assert np.isnan(table.left_u_px[0, :3]).all()
+    assert np.isnan(table.left_u_px).sum() == 3
+
+
 def test_a_bundle_of_frames_alone_is_none_but_stripes_may_lack(root: Path) -> None:
     folder = root / "scans" / "s-1"
     (folder / "stripes" / f"{SENSOR}.parquet").unlink()
