@@ -159,7 +159,7 @@ def render(board: Board, camera_from_board: Array, rays: PixelRays, rng: np.rand
     image, edge = np.empty((height, width), np.float32), np.empty((height, width), bool)
     for start in range(0, height, BLOCK_ROWS):
         of_pixels, of_corners = slice(start, start + BLOCK_ROWS), slice(start, start + BLOCK_ROWS + 1)
-        a, b = _cell(board, *_squares(board, from_ray, rays.x[of_corners], rays.y[of_corners]))
+        a, b = _cell(board, *_on_plane(from_ray, rays.x[of_corners], rays.y[of_corners]))
         image[of_pixels] = _colour(board, a[:-1, :-1], b[:-1, :-1])
         edge[of_pixels] = _on_edge(board, a, b)
     rows, columns = np.nonzero(edge)
@@ -171,19 +171,19 @@ def render(board: Board, camera_from_board: Array, rays: PixelRays, rng: np.rand
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def _squares(board: Board, from_ray: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Position on the board in squares, counted from the outer corner of the first square."""
+def _on_plane(from_ray: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Homogeneous coordinates in the board's plane: linear in the rays."""
     one, two, three = (r[0] * x + r[1] * y + r[2] for r in from_ray)
-    scale = 1.0 / (three * board.square_mm)
-    return one * scale + 1.0, two * scale + 1.0
+    return one, two, three
 
 
-def _cell(board: Board, a: Array, b: Array) -> tuple[Cells, Cells]:
-    """Whole squares of positions on the board; beyond two squares off it, any such number."""
+def _cell(board: Board, one: Array, two: Array, three: Array) -> tuple[Cells, Cells]:
+    """Whole squares of positions, from the outer corner of the first; beyond two squares off the board any such number."""
     columns, rows = board.inner_corners
+    scale = 1.0 / (three * board.square_mm)
     return (
-        np.floor(np.clip(a, -2.0, columns + 3.0)).astype(np.int16),
-        np.floor(np.clip(b, -2.0, rows + 3.0)).astype(np.int16),
+        np.floor(np.clip(one * scale + 1.0, -2.0, columns + 3.0)).astype(np.int16),
+        np.floor(np.clip(two * scale + 1.0, -2.0, rows + 3.0)).astype(np.int16),
     )
 
 
@@ -210,10 +210,8 @@ def _supersampled(
     s, t = (k + 0.5) / SAMPLES, ((34 * k) % SAMPLES + 0.5) / SAMPLES
     weights = np.stack([(1 - t) * (1 - s), (1 - t) * s, t * (1 - s), t * s])
     out = np.empty(rows.size, np.float32)
-    for start in range(0, rows.size, 4096):  # blocks that stay in the cache
-        r, c = rows[start : start + 4096], columns[start : start + 4096]
-        x, y = (
-            np.stack([f[r, c], f[r, c + 1], f[r + 1, c], f[r + 1, c + 1]], axis=1) @ weights for f in (rays.x, rays.y)
-        )
-        out[start : start + 4096] = _colour(board, *_cell(board, *_squares(board, from_ray, x, y))).mean(axis=1)
+    for start in range(0, rows.size, 2048):  # blocks that stay in the cache
+        r, c = rows[start : start + 2048, None] + (0, 0, 1, 1), columns[start : start + 2048, None] + (0, 1, 0, 1)
+        inside = [corner @ weights for corner in _on_plane(from_ray, rays.x[r, c], rays.y[r, c])]
+        out[start : start + 2048] = _colour(board, *_cell(board, *inside)).mean(axis=1)
     return out
