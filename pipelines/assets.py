@@ -114,12 +114,16 @@ def build_asset(stage: Stage, config: Config) -> dg.AssetsDefinition:
     )
     def made(context):
         night: Night = context.resources.night
-        if stage is CALIBRATION:
-            return _result(night, stage, CALIBRATION_DAY, night.run_calibrations())
-        if stage is REPEATABILITY:
-            return _result(night, stage, FLEET_DAY, night.run_fleet())
-        day = context.partition_key
-        return _result(night, stage, day, night.run_stage(stage, day))
+        try:
+            if stage is CALIBRATION:
+                return _result(night, stage, CALIBRATION_DAY, night.run_calibrations())
+            if stage is REPEATABILITY:
+                return _result(night, stage, FLEET_DAY, night.run_fleet())
+            day = context.partition_key
+            return _result(night, stage, day, night.run_stage(stage, day))
+        except BaseException as error:
+            night.error = error
+            raise
 
     return made
 

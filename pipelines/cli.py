@@ -114,7 +114,8 @@ def run(
         typer.Option("--until", metavar="HH:MM", help="Stop cleanly at this local time; the next run goes on"),
     ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try failed scans again though nothing of them has changed")
+        bool,
+        typer.Option("--retry-failed", help="Try refused and failed scans again though nothing of them has changed"),
     ] = False,
     task_seconds: Annotated[
         float | None,
@@ -193,9 +194,10 @@ def _moment(text: str | None) -> datetime | None:
         clock = datetime.strptime(text, "%H:%M").time()
     except ValueError as error:
         raise ConfigError(f"--until {text!r}: expected a local time such as 05:30") from error
-    now = datetime.now().astimezone()
-    moment = now.replace(hour=clock.hour, minute=clock.minute, second=0, microsecond=0)
-    return moment if moment > now else moment + timedelta(days=1)
+    now = datetime.now()
+    moment = datetime.combine(now, clock)
+    # The clock on the wall counts: between now and then it may be put forward or back.
+    return (moment if moment > now else moment + timedelta(days=1)).astimezone()
 
 
 @app.command()

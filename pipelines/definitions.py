@@ -9,7 +9,7 @@ import dagster as dg
 
 from pipelines import logs
 from pipelines.assets import build_assets
-from pipelines.finish import finish, started
+from pipelines.finish import finish, started, stopped
 from pipelines.schedules import nightly
 from pipelines.sensors import inbox_sensor
 from pipelines.settings import configuration, settings
@@ -28,9 +28,17 @@ def night_resource(_context) -> Iterator[Night]:
         s.warehouse, s.inbox, s.config, workers=s.workers, cluster=s.cluster, wait_seconds=A_NIGHT, bounds=s.bounds
     ) as night:
         started(night, s)
-        night.prepare()
-        yield night
-        finish(night, s.notify)
+        try:
+            night.prepare()
+            yield night
+        except BaseException as error:
+            night.error = night.error or error
+            raise
+        finally:  # Dagster ends a resource in good order also when a step failed: the night knows better
+            if night.error is None:
+                finish(night, s.notify)
+            else:
+                stopped(night, night.error, s.notify)
 
 
 ASSETS = build_assets(configuration())

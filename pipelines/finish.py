@@ -14,6 +14,7 @@ from pipelines.notify import send
 from pipelines.settings import Settings
 from warehouse import catalog, morning, reviews
 from warehouse.events import event
+from warehouse.lineage import Ledger
 from warehouse.night import Night
 from warehouse.pool import Pool
 from warehouse.summary import Summary
@@ -49,7 +50,13 @@ def finish(night: Night, notify: str | None = None) -> Summary:
 
 
 def stopped(night: Night, error: BaseException, notify: str | None) -> None:
-    """Keep and send what there is to say of a run that an error ends; never raises."""
+    """Show what a run that an error ends has finished, keep and send what there is to say of it; never raises.
+
+    The catalog is built from what is on disk: what is in memory may not have got there.
+    """
+    night.interrupted = True  # what it did not reach still waits
+    with contextlib.suppress(Exception):
+        catalog.update(night.root, Ledger(night.root), night.state.inbox.reviews())
     with contextlib.suppress(Exception):
         _tell(night, night.summary(), error, notify)
 

@@ -102,7 +102,7 @@ def collect(root: Path, retention: Retention, delete: bool, now: datetime | None
         for kind, path in going:
             found.add(kind, path, root)
         if delete:
-            if found.versions:
+            if going:  # also what a run that was killed left named by the catalog alone
                 catalog.build(root, ledger)
             for _, path in going:
                 path.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from warehouse import place
-from warehouse.bounds import is_passing
+from warehouse.bounds import is_passing, with_retries
 from warehouse.store import sha256_file
 from wheelset_assets.bundle import IDENTIFIER, RESERVED, CalibrationHeader, Rig, ScanHeader, explain
 from wheelset_assets.quality import ConfigError, ScanUnusable
@@ -81,6 +81,7 @@ class Inbox:
             )
         self.root = root.resolve()
         self._listed: dict[str, dict[str, dict]] = {}
+        self._unread_rigs: set[str] = set()
 
     def scans(self) -> list[Entry]:
         """Complete scan bundles (those whose scan.json is there), by name."""
@@ -132,7 +133,7 @@ class Inbox:
         found: dict[str, tuple[Rig | None, str, str | None]] = {}
         for path in sorted((self.root / "rigs").glob("*.json")) if (self.root / "rigs").is_dir() else []:
             try:
-                text, sha = read_json_text(path, f"rigs/{path.name}")
+                text, sha = with_retries(partial(read_json_text, path, f"rigs/{path.name}"))
                 rig = Rig.model_validate_json(text)
                 if rig.rig_id != path.stem:
                     raise ScanUnusable(
@@ -145,7 +146,14 @@ class Inbox:
                 found[path.stem] = (None, "", str(error))
             except OSError as error:
                 found[path.stem] = (None, "", f"rigs/{path.name}: cannot be read: {error.strerror}")
+                if is_passing(error):
+                    self._unread_rigs.add(path.stem)
         return found
+
+    @property
+    def unread_rigs(self) -> set[str]:
+        """Rigs whose file did not answer, though nothing speaks against it."""
+        return self._unread_rigs if self.rigs else set()
 
     def reviews(self) -> list[Path]:
         """Review files of independent instruments."""
@@ -286,7 +294,9 @@ def _verify_files(folder: Path, shown: str, header_name: str, listed: dict[str, 
         except OSError as error:
             if is_passing(error):
                 raise
-            raise BundleRefused(f"{shown}/{name}: cannot be read: {error.strerror}") from error
+            refused = BundleRefused(f"{shown}/{name}: cannot be read: {error.strerror}")
+            refused.may_pass = True  # neither size nor time of a file changes with its permissions
+            raise refused from error
         if found[name] != expected.lower():
             raise BundleRefused(f"{shown}/{name}: sha256 is {found[name][:12]}…, {header_name} lists {expected[:12]}…")
     return found
@@ -359,9 +369,9 @@ def _parquet(path: Path, shown: str, columns: dict[str, str], max_values: int) -
         if total > max_values:
             raise ScanUnusable(f"{shown}: {total} values; expected at most {max_values}")
         return file.read(columns=list(columns))
-    except ScanUnusable:
+    except (ScanUnusable, MemoryError):  # want of memory says nothing of the file
         raise
-    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         if is_passing(error):
             raise
         raise ScanUnusable(f"{shown}: not readable as Parquet: {str(error).splitlines()[0][:160]}") from error

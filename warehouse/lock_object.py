@@ -124,6 +124,11 @@ class ObjectLock:
             try:
                 self._etag = place.put(self.path, self._mark(), self._etag)
             except place.Changed:
-                return  # taken over; the ledger's conditional writes stop this run
+                with suppress(Exception):
+                    holder, etag, _ = self._look()
+                    if holder is not None and holder.get("token") == self._token:
+                        self._etag = etag  # the store took our last beat, and its answer was lost
+                        continue
+                    return  # taken over; the ledger's conditional writes stop this run
             except Exception:  # the network is away for a moment: the next beat may come through
                 continue

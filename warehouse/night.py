@@ -82,7 +82,9 @@ class Night:
         self._begun: dict[str, dict[str, StageSummary]] = {}
         """Days whose references were worked on ahead of their scans, with what each stage did."""
         self.unread: set[str] = set()
-        """Bundles that could not be read now, though nothing speaks against them."""
+        """Scans whose bundles could not be read now, or were not reached, though nothing speaks against them."""
+        self.error: BaseException | None = None
+        """What stopped a part of the run, if something did: an orchestrator may end it in good order all the same."""
         self._wait = wait_seconds
         self._swept = False
 
@@ -106,10 +108,11 @@ class Night:
         self._keep_rigs()
         changed = self.state.unknown_bundles()
         jobs = [(self.inbox_root, kind, entry) for kind, entry in changed]
+        self.unread = {entry.identifier for kind, entry in changed if kind == "scan"}
         try:
-            for n, (job, result) in enumerate(self.pool.run(_verify, jobs), start=1):
+            for n, (job, result) in enumerate(self.pool.run(_verify, jobs, self.out_of_time), start=1):
+                self.progress("verify", job[2].identifier, n, len(jobs))
                 if isinstance(result, OSError) and (is_passing(result) or not job[2].folder.exists()):
-                    self.unread.add(job[2].identifier)
                     self.record.warnings.append(
                         f"{job[1]} {job[2].identifier} could not be read: {result}; left for the next run"
                     )
@@ -117,19 +120,31 @@ class Night:
                 if isinstance(result, Exception) and not isinstance(result, ScanUnusable):
                     if not isinstance(result, OSError | WorkerDied):
                         raise result
-                    result = ScanUnusable(f"{job[1]}s/{job[2].identifier}: {result}")
+                    why, result = result, ScanUnusable(f"{job[1]}s/{job[2].identifier}: {result}")
+                    result.may_pass = isinstance(why, OSError)
                 self._take_up(job[1], job[2], result)
-                self.progress("verify", job[2].identifier, n, len(jobs))
+                if self.record.is_due():
+                    self._save_bundles()
         finally:
-            for day in self.ledger.dirty_days():
-                self.record.light(day).prune()
-                self.record.save(day)
-            self.record.save(UNDATED)
-            self.record.save(CALIBRATION_DAY)
+            self._save_bundles()
+        self.interrupted = self.interrupted or self.out_of_time()
+        self.state.keep_former(self.unread)
         self.state.arrange()
+        for rig_id in sorted(self.state.inbox.unread_rigs):
+            why = self.state.inbox.rigs[rig_id][2]
+            self.record.warnings.append(f"{why}; what hangs on this rig is left for the next run")
+        self.unread |= self.state.waiting
+
+    def _save_bundles(self) -> None:
+        for day in self.ledger.dirty_days():
+            self.record.light(day).prune()
+            self.record.save(day)
+        self.record.save(UNDATED)
+        self.record.save(CALIBRATION_DAY)
 
     def _take_up(self, kind: str, entry: Entry, result: Any) -> None:
         """Put a verified bundle on record; a good one whose content is what it was does not count as touched."""
+        self.unread.discard(entry.identifier)
         before = self.ledger.bundle(entry.identifier) if kind == "scan" else None
         record = self.state.record_bundle(kind, entry, result, self.run_id)
         if kind == "calibration":

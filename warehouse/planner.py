@@ -82,6 +82,7 @@ def plan(root: Path, inbox: Path, config: Config, only: frozenset[str] = frozens
             days[day].day = day
             days[day].new.append(entry.identifier)
     calibrations |= {name for name, _, _ in state.stale_calibrations()}
+    state.keep_former(state.former)  # what a changed reference brings is known once it is verified
     state.arrange()
     for day in state.days():
         units = [u for u in state.units(day) if not only or u.scan.scan_id in only]

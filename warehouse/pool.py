@@ -5,9 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +50,14 @@ def _prepare(environment: dict[str, str], memory_bytes: int | None = None) -> No
 
     cv2.setNumThreads(1)
     limit_memory(memory_bytes)
+    if (driver := multiprocessing.parent_process()) is not None:
+        threading.Thread(target=_end_with, args=(driver,), name="wheelset-driver", daemon=True).start()
+
+
+def _end_with(driver: Any) -> None:
+    """End this worker when its driver has ended: one that was killed alone can tell nobody, and nobody waits for results."""
+    connection.wait([driver.sentinel])
+    os._exit(1)
 
 
 def local_executor(workers: int, memory_bytes: int | None = None) -> ProcessPoolExecutor:

@@ -62,10 +62,14 @@ class Recorder:
 
     def checkpoint(self, day: str) -> bool:
         """Save a day if the last time is long ago; whether it was."""
-        due = time.monotonic() - self._saved_at > CHECKPOINT_SECONDS
+        due = self.is_due()
         if due:
             self.save(day)
         return due
+
+    def is_due(self) -> bool:
+        """Whether the last time that something was saved is long ago."""
+        return time.monotonic() - self._saved_at > CHECKPOINT_SECONDS
 
     def release(self) -> None:
         """Let go of what is saved, so that memory does not grow with the number of days."""

@@ -6,19 +6,41 @@ import csv
 import hashlib
 import json
 import math
+import os
+import stat
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from warehouse import store
+from warehouse import place, store
 from wheelset_assets.bundle import ScanHeader
 from wheelset_assets.quality import ConfigError
+
+MAX_REVIEW_BYTES = 64 * 2**20
+
+
+def _no_review(path: Path) -> str | None:
+    """Why a file is not even opened: a pipe would never end, and a link may lead anywhere; None if it is a plain file."""
+    if place.is_remote(path):
+        return None
+    try:
+        status = os.lstat(path)
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    if not stat.S_ISREG(status.st_mode):
+        return "expected a plain file, neither link nor pipe"
+    if status.st_size > MAX_REVIEW_BYTES:
+        return f"{status.st_size} bytes; expected at most {MAX_REVIEW_BYTES}"
+    return None
 
 
 def reviews_fingerprint(reviews: list[Path]) -> str:
     """Changes with the names and contents of the review files."""
     lines = []
     for path in reviews:
+        if why := _no_review(path):
+            lines.append(f"{path.name} {why}")
+            continue
         try:
             lines.append(f"{path.name} {store.sha256_file(path)}")
         except OSError as error:
@@ -63,6 +85,8 @@ def read_review(path: Path) -> list[dict[str, Any]]:
     """Rows of a review file; ConfigError names file, line, column and expectation."""
     wanted = ("wheelset_id", "quantity", "side", "value_mm", "expanded_uncertainty_mm", "measured_at")
     rows = []
+    if why := _no_review(path):
+        raise ConfigError(f"cmm/{path.name}: {why}")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)

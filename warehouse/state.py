@@ -9,7 +9,7 @@ import hashlib
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 from warehouse import nominal
@@ -19,6 +19,7 @@ from warehouse.lineage import BUNDLE, CALIBRATION_DAY, UNDATED, Ledger, Record, 
 from wheelset_assets.bundle import CalibrationHeader, Rig, ScanHeader
 from wheelset_assets.config import Config
 from wheelset_assets.declare import Stage
+from wheelset_assets.quality import ScanUnusable
 from wheelset_assets.stages import CALIBRATION, MEASUREMENT, SCAN_STAGES
 from wheelset_assets.stages.raw import Reference
 
@@ -57,6 +58,9 @@ def _unit(record: Record, folder: Path) -> Unit:
     return Unit(record.unit, scan, scan.calibration_id, day, folder, files, record.fingerprint, header_sha)
 
 
+_LONG_AGO = datetime.min.replace(tzinfo=UTC)
+
+
 def _by_time(unit: Unit) -> tuple[datetime, str]:
     return unit.scan.captured_at, unit.key
 
@@ -86,12 +90,16 @@ class State:
     calibrations: dict[str, tuple[CalibrationHeader, Entry, Record]] = field(default_factory=dict)
     references: dict[str, list[Unit]] = field(default_factory=dict)
     kept: dict[str, Unit] = field(default_factory=dict)
-    """Reference scans on record whose bundles have left the inbox: their results still set the zero."""
+    """Reference scans on record whose bundles have left the inbox, or cannot be read now: their results still set the zero."""
+    former: dict[str, Unit] = field(default_factory=dict)
+    """Reference scans whose bundles changed, as they were: until their verification says otherwise, nothing speaks against them."""
+    waiting: set[str] = field(default_factory=set)
+    """Scans of a rig whose file cannot be read now."""
     present: list[str] = field(default_factory=list)
     """Names of the inbox's scan bundles, usable or not."""
     by_day: dict[str, list[Unit]] = field(default_factory=dict)
     retry_before: str | None = None
-    """If given: failures on record of other runs than this one are to be tried again."""
+    """If given: what was refused or failed in other runs than this one is to be tried again."""
     _profiles: dict[str | None, str] = field(default_factory=dict)
     _methods: dict[str, tuple[str, str, str]] = field(default_factory=dict)
 
@@ -102,7 +110,7 @@ class State:
         changed: list[tuple[str, Entry]] = []
         for entry in self.inbox.calibrations():
             seen = self.ledger.day(CALIBRATION_DAY).get(entry.identifier, BUNDLE)
-            if seen is None or seen.signature != entry.signature:
+            if seen is None or seen.signature != entry.signature or self._to_retry(seen):
                 changed.append(("calibration", entry))
             elif seen.ok and seen.header:
                 self.calibrations[entry.identifier] = (
@@ -112,21 +120,52 @@ class State:
                 )
         present = {entry.identifier: entry for entry in self.inbox.scans()}
         self.present = list(present)
+        filed: dict[str, str] = {}
+        twice: set[str] = set()
         known: set[str] = set()
-        for _, last in self.ledger.records_of(BUNDLE):
-            there = present.get(last.unit)
-            if there is not None and last.signature == there.signature:
+        for day, last in self.ledger.records_of(BUNDLE):
+            if last.unit in filed:
+                twice.add(last.unit)
+            elif self._take_known(last, present.get(last.unit)):
                 known.add(last.unit)
-            if not last.ok or not last.header:
-                continue
-            if last.unit in known and there is not None:
-                self.scans[last.unit] = _unit(last, there.folder)
-            elif there is None and '"reference"' in last.header:
-                gone = _unit(last, self.inbox.root / "scans" / last.unit)
-                if gone.scan.purpose == "reference":
-                    self.kept[last.unit] = gone
+            filed.setdefault(last.unit, day)
+        for name in sorted(twice):
+            known.discard(name)
+            if self._take_known(self._filed_once(name, present.get(name)), present.get(name)):
+                known.add(name)
         changed += [("scan", entry) for name, entry in present.items() if name not in known]
         return changed
+
+    def _take_known(self, last: Record, there: Entry | None) -> bool:
+        """Take a bundle on record into the state; whether the inbox still has it as it was."""
+        known = there is not None and last.signature == there.signature and not self._to_retry(last)
+        if not last.ok or not last.header:
+            return known
+        if known and there is not None:
+            self.scans[last.unit] = _unit(last, there.folder)
+        elif '"reference"' in last.header:
+            was = _unit(last, there.folder if there is not None else self.inbox.root / "scans" / last.unit)
+            if was.scan.purpose == "reference":
+                (self.kept if there is None else self.former)[last.unit] = was
+        return known
+
+    def _filed_once(self, name: str, there: Entry | None) -> Record:
+        """The record of a bundle that is on record under several days: a run that filed it under another day was killed
+        between the two files. The one that knows the bundle as it is stays, else the newest; the others are given up.
+        """
+        for found in (self.scans, self.kept, self.former):
+            found.pop(name, None)
+        records = [(day, r) for day, r in self.ledger.records_of(BUNDLE) if r.unit == name]
+        is_current = [there is not None and r.signature == there.signature for _, r in records]
+        best = max(range(len(records)), key=lambda n: (is_current[n], records[n][1].produced_at or _LONG_AGO))
+        for n, (day, _) in enumerate(records):
+            if n != best:
+                self._forget(day, name, records[best][1])
+        return records[best][1]
+
+    def keep_former(self, unread: Iterable[str]) -> None:
+        """Let references whose bundles could not be looked at set the zero as they did: only their scans' time has come."""
+        self.kept |= {name: self.former[name] for name in unread if name in self.former}
 
     def record_bundle(self, kind: str, entry: Entry, verified: Verified | Exception, run_id: str) -> Record:
         """Put the verification of a bundle on record and take it into the state if it is usable.
@@ -157,7 +196,7 @@ class State:
             run_id=run_id,
             produced_at=now(),
             packages=package_versions(),
-            signature=entry.signature,
+            signature="" if isinstance(verified, ScanUnusable) and verified.may_pass else entry.signature,
             header=header,
         )
         if kind == "scan" and before is not None and before[0] != day:
@@ -186,6 +225,8 @@ class State:
     def arrange(self) -> None:
         """Sort the scans by day, and the references of each rig by time; call once all bundles are known."""
         self.references, self.by_day = {}, {}
+        self.waiting = {n for n, unit in self.scans.items() if unit.scan.rig_id in self.inbox.unread_rigs}
+        self.scans = {n: unit for n, unit in self.scans.items() if n not in self.waiting}
         for unit in self.scans.values():
             self.by_day.setdefault(unit.day, []).append(unit)
         for unit in sorted([*self.scans.values(), *self.kept.values()], key=_by_time):
@@ -196,6 +237,8 @@ class State:
         """Calibrations to be made, as (calibration_id, fingerprint, inputs)."""
         stale: list[tuple[str, str, tuple[tuple[str, str], ...]]] = []
         for name, (header, _, bundle) in sorted(self.calibrations.items()):
+            if header.rig_id in self.inbox.unread_rigs:
+                continue
             rig, sha, _why = self.inbox.rigs.get(header.rig_id, (None, "missing", None))
             inputs = (("bundle", bundle.fingerprint), ("rig", sha if rig else "missing"))
             wanted = fingerprint(CALIBRATION, stage_config(self.config, CALIBRATION), inputs)
@@ -376,7 +419,7 @@ class State:
         return need, None if known else wanted
 
     def _to_retry(self, record: Record) -> bool:
-        return record.state == "failed" and self.retry_before not in (None, record.run_id)
+        return not record.ok and self.retry_before not in (None, record.run_id)
 
     def stale_units(self, units: Iterable[Unit]) -> dict[str, list[Unit]]:
         """Units with work, filed under their first stale stage; what is downstream of it may follow or not."""
