@@ -120,8 +120,9 @@ class Night:
                 if isinstance(result, Exception) and not isinstance(result, ScanUnusable):
                     if not isinstance(result, OSError | WorkerDied):
                         raise result
-                    why, result = result, ScanUnusable(f"{job[1]}s/{job[2].identifier}: {result}")
-                    result.may_pass = isinstance(why, OSError)
+                    refused = ScanUnusable(f"{job[1]}s/{job[2].identifier}: {result}")
+                    refused.may_pass = isinstance(result, OSError)
+                    result = refused
                 self._take_up(job[1], job[2], result)
                 if self.record.is_due():
                     self._save_bundles()

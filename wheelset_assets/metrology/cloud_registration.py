@@ -83,13 +83,15 @@ def refine(
 
 @dataclass(frozen=True)
 class _CloudPairs:
-    """Paired points (k, 3) and normals (k, 3) in the target's frame; how many source points found a partner."""
+    """Paired points (k, 3) and normals (k, 3) in the target's frame; how many source points found a partner, and how many
+    pairs there are that are not the same from the other side."""
 
     p: Array
     q: Array
     normal_p: Array
     normal_q: Array
     n_partners: int
+    n_distinct: int
 
 
 def _pairs(
@@ -113,7 +115,8 @@ def _pairs(
     i, j = i[alike], j[alike]
     if len(i) < 12:
         raise AlgorithmFailed("too few points of the two clouds lie together", pairs=len(i), required=12, reach=reach)
-    return _CloudPairs(moved[i], target.points[j], normal[i], target.normal[j], int(partner.sum()))
+    n_distinct = len(np.unique(i * np.int64(len(target.points)) + j)) if both_ways else len(i)
+    return _CloudPairs(moved[i], target.points[j], normal[i], target.normal[j], int(partner.sum()), n_distinct)
 
 
 def _metric(pairs: _CloudPairs, method: Method) -> Array:
@@ -151,12 +154,12 @@ def _along_normals(pairs: _CloudPairs) -> Array:
 def _summary(
     source: Surface, pairs: _CloudPairs, pose: Array, method: Method, iterations: int, converged: bool
 ) -> CloudRegistration:
-    if method == "point":
-        residual = np.linalg.norm(pairs.p - pairs.q, axis=1)
-    else:
-        residual = _along_normals(pairs)
+    along = _along_normals(pairs)
+    residual = np.linalg.norm(pairs.p - pairs.q, axis=1) if method == "point" else along
     rmse = float(np.sqrt((residual**2).mean()))
-    normal, _ = _normal_equations(pairs, np.zeros(3), "plane" if method != "point" else "point")
+    # What the pairs know lies along the normals, whatever was minimised: along the surface they are as far apart as its points.
+    noise = max(float(np.sqrt((along**2).mean())), 1e-12 * float(np.abs(pairs.p).max() + 1))
+    normal, _ = _normal_equations(pairs, np.zeros(3), "plane")
     shares, significant = constraints(pairs.p, pairs.normal_p, pairs.normal_q)
     return CloudRegistration(
         target_from_source=pose,
@@ -165,7 +168,7 @@ def _summary(
         n_pairs=len(pairs.p),
         n_iterations=iterations,
         converged=converged,
-        information=normal / max(rmse, 1e-12 * float(np.abs(pairs.p).max() + 1)) ** 2,
+        information=normal / noise**2 * (pairs.n_distinct / len(pairs.p)),
         shares=shares,
         n_constrained=int(significant.sum()),
     )

@@ -27,7 +27,14 @@ from wheelset_assets.metrology.reading import (
     unsupported,
 )
 from wheelset_assets.metrology.revolution import HarmonicFit, MeridianGrid, fit_harmonics
-from wheelset_assets.metrology.roundness import Range, Spectrum, body_angle_deg, peak_to_peak, spectrum
+from wheelset_assets.metrology.roundness import (
+    Range,
+    Spectrum,
+    body_angle_deg,
+    mean_direction_deg,
+    peak_to_peak,
+    spectrum,
+)
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -55,7 +62,7 @@ def journal_datum(meridians: Meridians, outward: float, s: DatumSettings) -> tup
 def read_journal(grids: list[MeridianGrid], angle_deg: Array, side: str, settings: TurnSettings) -> StationReading:
     """Readings of a journal station from its sensors' grids (frames, rows), in a geometry squared to the axle."""
     outward = 1.0 if side == "right" else -1.0
-    body_deg = body_angle_deg(angle_deg, float(np.nanmean([g.direction_deg for g in grids])))
+    body_deg = body_angle_deg(angle_deg, mean_direction_deg(g.direction_deg for g in grids))
     meridians = Meridians(grids, np.ones(len(angle_deg), bool))
     cylinder, face = journal_datum(meridians, outward, settings.datum)
     found = StationReading()
@@ -89,7 +96,7 @@ def _shoulder(
     mask = meridians.inside(face, 1, settings.datum.edge_margin_mm)
     level = mean_at(meridians.lateral, meridians.weight, mask)
     about = described(fit, series, settings, uneven(fit.scatter, fit.freedom, series, settings))
-    turn = spectrum(body_deg, series.value_mm, fit.used, settings.runout_order)
+    turn = spectrum(body_deg, series.value_mm, fit.used, settings.runout_order, series.noise_mm)
     mean, u_mean = (turn.mean, turn.u_mean) if turn else (fit.mean, fit.u_mean)
     found.readings.extend(
         [
@@ -155,7 +162,7 @@ def _turn(
     fit = fit_harmonics(angle_deg, series.value_mm, settings.runout_order, settings.exclude_sigmas)
     if (reason := unsupported(fit, settings)) or fit is None:
         return reason or "too few frames see it"
-    harmonics = spectrum(body_deg, series.value_mm, fit.used, settings.runout_order)
+    harmonics = spectrum(body_deg, series.value_mm, fit.used, settings.runout_order, series.noise_mm)
     return (series, fit, harmonics) if harmonics else "too few frames see it"
 
 

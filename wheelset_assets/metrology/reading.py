@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wheelset_assets.metrology.datum import Line, find_face, straight_rows
 from wheelset_assets.metrology.frame_series import FULL_COVERAGE, FrameSeries, frame_series
 from wheelset_assets.metrology.profile import ProfileDefinition
-from wheelset_assets.metrology.revolution import HarmonicFit, MeridianGrid, fit_harmonics, mean_meridian
+from wheelset_assets.metrology.revolution import HarmonicFit, MeridianGrid, common_frames, fit_harmonics, mean_meridian
 from wheelset_assets.metrology.roundness import Flat, Range, Spectrum
 from wheelset_assets.quality import Flag
 
@@ -171,6 +171,8 @@ class Meridians:
 
     def __init__(self, grids: list[MeridianGrid], used: Mask) -> None:
         self.grids = grids
+        if grids:
+            used = used & common_frames([g.lateral_mm for g in grids])
         self.means = [mean_meridian(g.lateral_mm, g.radial_mm, used) for g in grids]
         good = [np.isfinite(m.lateral_mm) & np.isfinite(m.u_mm) for m in self.means]
         self.row_of = [np.flatnonzero(g) for g in good]

@@ -6,6 +6,7 @@ radial and tangential directions holds for wheels and journals alike.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,11 @@ from wheelset_assets.metrology.grids import blocks, nan_mean, nan_median
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
+MOST_DIFFERENCES = 256
+"""Frames that tell the noise of a frame: so many know a standard deviation to 4 %."""
+LEAST_DIFFERENCES = 4
+LEAST_COMMON = 8
+"""Fewer frames that all views share are no turn."""
 EDGE_SIGMAS = 2.5
 """A frame beside excluded ones is excluded from so many robust scatters on, if it is off to the same side."""
 EDGE_FRAMES = 4
@@ -104,19 +110,20 @@ class MeanMeridian:
     n_frames: NDArray[np.int64]
     left_out_lateral_mm: Array
     left_out_radial_mm: Array
+    frame_noise_mm: tuple[Array, Array]
+    """Lateral and radial of some frames (k, rows), less the mean of the frames before and after, as deviations of one frame."""
 
     def row_noise(self, neighbours: int = 7) -> RowNoise:
         """Noise of the rows that were seen, in their order.
 
-        From the means that leave groups of frames out: the groups are interleaved, so that run-out, which moves a row
-        along the same line of sight, cancels. Of the standard deviation the median over some neighbours is taken.
+        From frames less those beside them: run-out, which moves a row along the same line of sight, hardly differs between
+        neighbours, whatever the number of frames. Of the standard deviation the median over some neighbours is taken.
         """
-        seen = np.isfinite(self.lateral_mm) & np.isfinite(self.left_out_lateral_mm).all(axis=0)
-        groups = len(self.left_out_lateral_mm)
-        scale = np.sqrt((groups - 1) / groups)
-        a, r = (scale * (left - mean)[:, seen] for left, mean in (
-            (self.left_out_lateral_mm, self.lateral_mm), (self.left_out_radial_mm, self.radial_mm)
-        ))  # fmt: skip
+        known = np.isfinite(self.frame_noise_mm[0])
+        count = known.sum(axis=0)
+        seen = np.isfinite(self.lateral_mm) & (count >= LEAST_DIFFERENCES)
+        scale = 1.0 / np.sqrt(np.maximum(count, 1) * np.maximum(self.n_frames, 1))
+        a, r = (np.where(known, noise, 0.0)[:, seen] * scale[seen] for noise in self.frame_noise_mm)
         angle = 0.5 * np.arctan2(2 * (a * r).sum(axis=0), (a * a - r * r).sum(axis=0))
         along = a * np.cos(angle) + r * np.sin(angle)
         length = np.sqrt((along**2).sum(axis=0))
@@ -147,7 +154,7 @@ def mean_meridian(
         scatter = 1.4826 * nan_median(deviation, axis=0)
         with np.errstate(invalid="ignore"):
             keep &= deviation <= clip * np.maximum(scatter, 1e-6)
-    groups = max(2, min(groups, len(a) // 3))
+    groups = max(2, min(groups, len(a)))
     starts = [np.s_[g::groups] for g in range(groups)]
     count = np.stack([keep[i].sum(axis=0) for i in starts])
     sums = []
@@ -171,7 +178,30 @@ def mean_meridian(
             away_a[0] += square  # frame after frame, as if there were no blocks
             square = away_a.sum(axis=0)
         u = np.sqrt(square / np.where(n > 1, n - 1, np.nan) / total)
-    return MeanMeridian(mean_a, mean_r, u, n, left_a, left_r)
+    return MeanMeridian(mean_a, mean_r, u, n, left_a, left_r, _frame_noise(a, r, keep))
+
+
+def _frame_noise(lateral_mm: Array, radial_mm: Array, keep: Mask) -> tuple[Array, Array]:
+    """Some frames, spread over all, less the mean of both neighbours round the turn, over sqrt(1.5): the noise of a frame."""
+    n = len(keep)
+    at = np.arange(0, n, max(1, n // MOST_DIFFERENCES))
+    before, after = at - 1, (at + 1) % max(n, 1)
+    whole = keep[at] & keep[before] & keep[after] if n >= 3 else np.zeros((len(at), keep.shape[1]), bool)
+    first, second = (
+        np.where(whole, (v[at] - 0.5 * (v[before] + v[after])) / np.sqrt(1.5), np.nan) for v in (lateral_mm, radial_mm)
+    )
+    return first, second
+
+
+def common_frames(depths: Sequence[Array]) -> Mask:
+    """Frames (frames,) in which every view saw at least half of the rows that it sees in most; all if these are too few.
+
+    Means of a station's views over different frames differ by the run-out of those that only some saw.
+    """
+    counts = [np.isfinite(depth).sum(axis=1) for depth in depths]
+    seen = [c >= 0.5 * np.median(c[c > 0]) for c in counts if (c > 0).any()]
+    common = np.logical_and.reduce(seen) if seen else np.zeros(len(depths[0]) if depths else 0, bool)
+    return common if common.sum() >= LEAST_COMMON else np.ones(len(common), bool)
 
 
 def _integral_length(noise: Array, least: float = 0.02, most: int = 60) -> float:
@@ -267,14 +297,23 @@ class HarmonicFit:
 def coverage(angle_deg: Array) -> tuple[float, float]:
     """Share of the turn that the angles (n,) cover, and the largest gap in degrees.
 
-    Each angle stands for the arc to its neighbours, up to twice the median spacing; a longer arc is a gap.
+    Each angle stands for the arc to its neighbours, up to twice the usual one; a longer arc is a gap.
     """
     turn = np.unique(np.mod(angle_deg, 360.0))
     if turn.size < 2:
         return 0.0, 360.0
     arcs = np.diff(np.concatenate([turn, [turn[0] + 360.0]]))
-    typical = max(2 * float(np.median(arcs)), 1e-9)
+    typical = max(2 * usual_arc(arcs), 1e-9)
     return float(np.minimum(arcs, typical).sum() / 360.0), float(arcs.max())
+
+
+def usual_arc(arcs_deg: Array) -> float:
+    """The arc between neighbours in whose like, or smaller ones, half of the turn lies; the largest, a gap perhaps, is left out.
+
+    A plain median fails over more than one revolution, where as many arcs lie between frames at nearly the same angle.
+    """
+    rest = np.sort(arcs_deg)[:-1] if len(arcs_deg) > 2 else np.sort(arcs_deg)
+    return float(rest[np.searchsorted(np.cumsum(rest), 0.5 * rest.sum())])
 
 
 def fit_harmonics(angle_deg: Array, values: Array, order: int, exclude_sigmas: float) -> HarmonicFit | None:
@@ -289,8 +328,8 @@ def fit_harmonics(angle_deg: Array, values: Array, order: int, exclude_sigmas: f
         return None
     _, gap = coverage(angle_deg[seen])
     order = int(max(0, min(order, (seen.sum() // 3 - 1) // 2, np.floor(270.0 / gap) if gap > 0 else order)))
-    used = _robust_use(angle_deg, values, seen, min(order, 2), 1.5 * exclude_sigmas)
-    used = _robust_use(angle_deg, values, used, order, exclude_sigmas)
+    used = _robust_use(angle_deg, values, seen, seen, min(order, 2), 1.5 * exclude_sigmas)
+    used = _robust_use(angle_deg, values, used, seen, order, exclude_sigmas)
     used = _without_edges(angle_deg, values, seen, used, order)
     design = _harmonic_design(angle_deg, order)
     if used.sum() < max(4, design.shape[1] + 2):
@@ -328,13 +367,14 @@ def _harmonic_design(angle_deg: Array, order: int) -> Array:
     return np.hstack([np.ones((len(theta), 1)), np.cos(theta), np.sin(theta)])
 
 
-def _robust_use(angle_deg: Array, values: Array, allowed: Mask, order: int, sigmas: float) -> Mask:
+def _robust_use(angle_deg: Array, values: Array, first: Mask, allowed: Mask, order: int, sigmas: float) -> Mask:
     """Which of the allowed frames lie within `sigmas` robust scatters of harmonics up to `order` (redescending weights).
 
-    A first pass of low order finds dirt and flats that a higher order would bend towards.
+    It begins with the frames `first`: a pass of low order finds dirt and flats that a higher order would bend towards, and
+    the frames that only the low order missed come back.
     """
     design = _harmonic_design(angle_deg, order)
-    used, weight = allowed.copy(), np.ones(len(values))
+    used, weight = first.copy(), np.ones(len(values))
     for step in range(30):
         if used.sum() < max(4, design.shape[1] + 2):
             return used

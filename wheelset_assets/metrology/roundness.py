@@ -6,18 +6,21 @@ turned by a, the body angle psi - a. Series of sensors that look from different 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelset_assets.metrology.revolution import coverage
+from wheelset_assets.metrology.revolution import coverage, usual_arc
 from wheelset_assets.quality import Flag
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
+LEAK_ORDERS = 6
+"""Orders that a real turn may have of some size (out of round, bent, polygonal)."""
 KEEP_POWER = 3.0
 """Among many orders, one counts if its power exceeds this multiple of its noise's: noise alone does so in 5 of 100 cases."""
 FEW_ORDERS = 6
@@ -27,6 +30,12 @@ FEW_ORDERS = 6
 def body_angle_deg(turned_deg: Array, direction_deg: float) -> Array:
     """Body angle (n,) seen from direction_deg (from +Y towards +Z) when the wheelset has turned by turned_deg (n,)."""
     return np.mod(direction_deg - turned_deg, 360.0)
+
+
+def mean_direction_deg(directions_deg: Iterable[float]) -> float:
+    """Mean of directions, which 359 and 1 make 0; NaN are left out."""
+    angle = np.radians([d for d in directions_deg if np.isfinite(d)])
+    return float(np.degrees(np.arctan2(np.sin(angle).sum(), np.cos(angle).sum()))) if angle.size else float("nan")
 
 
 @dataclass(frozen=True)
@@ -70,22 +79,25 @@ class Spectrum:
         return self.amplitude**2 > KEEP_POWER * 2.0 * self.u_amplitude**2
 
 
-def spectrum(body_deg: Array, values: Array, used: Mask, order: int) -> Spectrum | None:
+def spectrum(body_deg: Array, values: Array, used: Mask, order: int, noise: float = 0.0) -> Spectrum | None:
     """Least-squares harmonics of values (n,) at body_deg (n,) over the `used` frames; None if they are too few.
 
     The order is lowered to what the frames and the largest gap support: three frames a coefficient, and no gap longer
-    than three quarters of a wavelength.
+    than three quarters of a wavelength. What an order that is left out for a gap puts into the mean is in its uncertainty;
+    noise: standard deviation of a value that is known to be noise, the rest of the residuals being such orders.
     """
     ok = used & np.isfinite(values)
     if ok.sum() < 6:
         return None
-    gap = coverage(body_deg[ok])[1]
+    gap, wanted = coverage(body_deg[ok])[1], order
     order = int(max(0, min(order, (ok.sum() // 3 - 1) // 2, np.floor(270.0 / gap))))
     design = harmonic_design(body_deg[ok], order)
     coefficients, *_ = np.linalg.lstsq(design, values[ok], rcond=None)
     residual = values[ok] - design @ coefficients
     variance = float(residual @ residual) / (ok.sum() - design.shape[1])
     covariance = np.linalg.pinv(design.T @ design) * variance
+    unexplained = max(variance - (noise**2 if np.isfinite(noise) else 0.0), 0.0)
+    covariance[0, 0] += unexplained * _leak(body_deg[ok], order, min(wanted, LEAK_ORDERS))
     return Spectrum(
         float(coefficients[0]),
         float(np.sqrt(covariance[0, 0])),
@@ -95,6 +107,23 @@ def spectrum(body_deg: Array, values: Array, used: Mask, order: int) -> Spectrum
         float(np.sqrt(variance)),
         int(ok.sum()),
     )
+
+
+def _leak(angle_deg: Array, order: int, wanted: int) -> float:
+    """Largest square that an order from order + 1 to wanted puts into the mean of a fit up to `order`, for a mean square of 1
+    of what it leaves in the residuals.
+
+    Over a whole turn they are orthogonal; over a gap the mean takes up a part of them, which scatter does not tell.
+    """
+    if wanted <= order:
+        return 0.0
+    design = harmonic_design(angle_deg, order)
+    inverse = np.linalg.pinv(design)
+    others = harmonic_design(angle_deg, wanted)
+    cosine, sine = others[:, 1 + order : 1 + wanted], others[:, 1 + wanted + order :]
+    into = (inverse[0] @ cosine) ** 2 + (inverse[0] @ sine) ** 2
+    left = [((c - design @ (inverse @ c)) ** 2).mean(axis=0) for c in (cosine, sine)]
+    return float((into / np.maximum(left[0] + left[1], 1e-12)).max())
 
 
 def harmonic_design(angle_deg: Array, order: int) -> Array:
@@ -185,7 +214,7 @@ def find_flats(
     low = (excluded & (deviation_mm < -EDGE_SCATTERS * scatter_mm))[order]
     if not low.any():
         return []
-    step_deg = float(np.median(np.diff(np.sort(body_deg))))
+    step_deg = usual_arc(np.diff(np.sort(body_deg)))
     angle, value = body_deg[order], deviation_mm[order]
     start = int(np.argmin(low)) if not low.all() else 0
     index = np.roll(np.arange(len(low)), -start)  # begin the walk outside a run

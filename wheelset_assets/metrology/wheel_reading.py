@@ -47,6 +47,7 @@ from wheelset_assets.metrology.roundness import (
     Spectrum,
     body_angle_deg,
     find_flats,
+    mean_direction_deg,
     peak_to_peak,
     spectrum,
 )
@@ -119,7 +120,7 @@ class _Wheel:
     ) -> None:
         self.fields = fields
         self.grids, self.angle_deg, self.side, self.outward, self.settings = grids, angle_deg, side, outward, settings
-        self.body_deg = body_angle_deg(angle_deg, float(np.nanmean([g.direction_deg for g in grids])))
+        self.body_deg = body_angle_deg(angle_deg, mean_direction_deg(g.direction_deg for g in grids))
         self.meridians = Meridians(grids, used)
         self.refused = ""
         face = wheel_face(self.meridians, outward, settings.datum)
@@ -181,10 +182,16 @@ class _Wheel:
                 self.level + self.face_fit.fitted,
             )
         ]
-        face_spectrum = spectrum(self.body_deg, self.face_turn.value_mm, self.face_fit.used, settings.runout_order)
+        face_spectrum = spectrum(
+            self.body_deg, self.face_turn.value_mm, self.face_fit.used, settings.runout_order, self.face_turn.noise_mm
+        )
         spectra = {"face_lateral": face_spectrum} if face_spectrum else {}
         fit = self.tread_fit
-        tread = spectrum(self.body_deg, self.tread.value_mm, fit.used, settings.spectrum_order) if fit else None
+        tread = (
+            spectrum(self.body_deg, self.tread.value_mm, fit.used, settings.spectrum_order, self.tread.noise_mm)
+            if fit
+            else None
+        )
         if reason or fit is None or tread is None:
             found += refuse(TREAD_QUANTITIES, side, f"tread: {reason or 'too few frames see it'}")
             return StationReading(found, turns, spectra, profile=self._rows(full, nominal), map=self._map())
@@ -203,7 +210,7 @@ class _Wheel:
         m, side = self.meridians, self.side
         fit, settings = self.face_fit, self.settings
         about = described(fit, self.face_turn, settings, uneven(fit.scatter, fit.freedom, self.face_turn, settings))
-        own = spectrum(self.body_deg, self.face_turn.value_mm, self.face_fit.used, self.settings.runout_order)
+        own = spectrum(self.body_deg, self.face_turn.value_mm, fit.used, settings.runout_order, self.face_turn.noise_mm)
         mean, u_mean = (own.mean, own.u_mean) if own else (self.face_fit.mean, self.face_fit.u_mean)
         runout = peak_to_peak(own) if own else Range(self.face_fit.peak_to_peak, self.face_fit.u_peak_to_peak)
         return [

@@ -53,7 +53,7 @@ FEATURES = Stage(
     run=run_features,
 )
 REGISTRATION = Stage(
-    version=7,
+    version=8,
     meaning="Coarse pose from matches (eq. 22-24), ICP (eq. 25-26) aware of degeneracy, check by frequency, fused meridians",
     scope="scan",
     inputs=("filtered_clouds", "stripe_statistics", "features"),
@@ -63,7 +63,7 @@ REGISTRATION = Stage(
     run=run_registrations,
 )
 ALIGNMENT = Stage(
-    version=1,
+    version=2,
     meaning="Inner-face plane (eq. 27), total least squares, and squaring to the axle",
     scope="scan",
     inputs=("fused_profiles", "registrations"),
@@ -73,7 +73,7 @@ ALIGNMENT = Stage(
     run=run_alignments,
 )
 MEASUREMENT = Stage(
-    version=7,
+    version=8,
     meaning="Quantities at 20 °C against the master wheelset, each with its uncertainty budget (eq. 28)",
     scope="scan",
     inputs=("filtered_clouds", "stripe_statistics", "registrations", "alignments", "calibrations"),

@@ -21,6 +21,7 @@ from wheelset_assets.metrology.revolution import (
     MeanMeridian,
     MeridianGrid,
     RowNoise,
+    common_frames,
     grouped_meridians,
     mean_meridian,
     meridian_motion,
@@ -202,10 +203,8 @@ def station_scans(
         wanted = rig.station_sensors(station.station)
         views = [(s.sensor_id, line) for s in wanted for line in range(s.laser_lines) if (s.sensor_id, line) in found]
         if views:
-            means = {
-                v: mean_meridian(found[v].lateral_mm, found[v].radial_mm, np.ones(len(found[v].lateral_mm), bool))
-                for v in views
-            }
+            frames = common_frames([found[v].lateral_mm for v in views])
+            means = {v: mean_meridian(found[v].lateral_mm, found[v].radial_mm, frames) for v in views}
             curves = {v: _curve(mean) for v, mean in means.items()}
             noises = {v: mean.row_noise() for v, mean in means.items()}
             absent = Flag.NONE if {s.sensor_id for s in wanted} <= seen_sensors else Flag.SENSOR_MISSING
