@@ -182,6 +182,20 @@ def test_refinement_finds_the_pose_and_its_information_says_how_well(method):
     assert spread < (0.05 if method == "point" else 0.004)
 
 
+def test_a_pair_that_is_found_from_both_sides_is_known_once():
+    """The information of pairs of one way and of both ways is the same but for the pairs that only one of them has."""
+    random = np.random.default_rng(4)
+    source, target = bodies("hills", random)
+    ways = [
+        refine(surface(source), surface(target), np.eye(4), reach=3.0, method="plane", both_ways=both)
+        for both in (True, False)
+    ]
+    u = [np.sqrt(np.diag(np.linalg.inv(found.information))) for found in ways]
+    assert ways[0].n_pairs > 1.5 * ways[1].n_pairs
+    assert (u[0] / u[1] > 0.78).all()  # 0.71 if each pair counted twice
+    assert (u[0] / u[1] < 1.1).all()
+
+
 # --- surfaces
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from nominal_profiles import by_arc_length, s1002
@@ -243,6 +245,61 @@ def test_a_complete_turn_has_no_flags():
     angle, grids = wheel(np.random.default_rng(59))
     for reading in read_wheel(grids, angle, "right", SETTINGS).readings:
         assert reading.flags == (Flag.NOT_DETECTED if reading.quantity.startswith("flat") else Flag.NONE)
+
+
+@pytest.mark.parametrize("turns", [1.0, 2.0, 2.1, 3.0])
+def test_more_than_one_revolution_is_no_gap_and_hides_no_flat(turns):
+    """As many arcs lie between frames of nearly the same angle as between those of one turn; the encoder's noise parts them."""
+    random, depth = np.random.default_rng(6), 0.3
+    n = round(96 * turns)
+    angle = np.sort(17.0 + np.arange(n) * 360.0 / 96 + random.normal(0, 0.003, n))
+    radial, axial = harmonics(angle, RADIAL), harmonics(angle, AXIAL)
+    along = np.radians(np.mod(angle - 123.3 + 180.0, 360.0) - 180.0) * RADIUS
+    flat = np.minimum(along**2 / (2 * RADIUS) - depth, 0.0)
+    place = np.array([70.0 + PLACE, RADIUS])
+    for extra, truth in ((0.0, 0.0), (flat, depth)):
+        found = by_name(
+            read_wheel(
+                [seen(p + place, radial + extra, axial, random) for p in (INNER, OUTER)], angle, "right", SETTINGS
+            )
+        )
+        assert found["flat_depth"].value == pytest.approx(truth, abs=max(4 * found["flat_depth"].u_noise, 0.004))
+        assert found["wheel_diameter"].reason is None
+        assert found["wheel_diameter"].coverage_ratio > 0.95
+        assert abs(found["wheel_diameter"].value - 2 * RADIUS) < 4 * found["wheel_diameter"].u_noise
+
+
+def test_a_part_of_the_turn_that_one_sensor_misses_shifts_nothing_between_the_sensors():
+    """The crest of a large run-out was seen by one of two sensors: their means must be of the same frames."""
+    pulls = []
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        angle = angles(random)
+        radial = harmonics(angle, ((0.1, 0.3),))
+        place = np.array([70.0 + PLACE, RADIUS])
+        inner, outer = (seen(p + place, radial, 0 * angle, random) for p in (INNER, OUTER))
+        crest = np.degrees(-0.3)
+        gone = np.abs(np.mod(angle - crest + 180.0, 360.0) - 180.0) < 40.0
+        where = np.broadcast_to(gone[:, None], outer.lateral_mm.shape)
+        found = by_name(read_wheel([inner, hidden(outer, where)], angle, "right", SETTINGS))
+        for name in ("flange_height", "flange_thickness"):
+            assert Flag.COVERAGE_GAP in found[name].flags
+            pulls.append((found[name].value - WHEEL_TRUTH[name]) / found[name].u_noise)
+    assert_pulls(pulls, underclaim=np.sqrt(23 / 21))
+
+
+@pytest.mark.parametrize("directions", [(179.9, 179.7), (179.9, -179.9)])
+def test_body_angles_of_a_station_whose_sensors_look_from_either_side_of_180_degrees(directions):
+    """The flat lies where it lies, whichever name the sensors' directions have."""
+    random = np.random.default_rng(3)
+    angle, grids = wheel(random)
+    turned = [replace(g, direction_deg=d) for g, d in zip(grids, directions, strict=True)]
+    phase = lambda found: np.arctan2(found.sine[0], found.cosine[0])  # noqa: E731
+    one = read_wheel(turned, angle, "right", SETTINGS).spectra["tread_radius"]
+    other = read_wheel([replace(g, direction_deg=180.0) for g in grids], angle, "right", SETTINGS).spectra[
+        "tread_radius"
+    ]
+    assert np.degrees(phase(one) - phase(other)) == pytest.approx(0.0, abs=0.2)
 
 
 def test_few_frames_are_refused_with_their_number():

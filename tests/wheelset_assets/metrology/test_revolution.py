@@ -186,6 +186,38 @@ def test_a_flat_is_excluded_and_the_rest_is_used():
     assert fit.fitted[~flat] == pytest.approx(values[~flat], abs=0.05)
 
 
+def test_frames_that_a_low_order_alone_misses_come_back():
+    """Orders up to 6 that a first pass of order 2 takes for dirt: they are the wheel's shape, and all of its frames count."""
+    angle, worst = np.arange(256) * 360.0 / 256, 0.0
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        phase = random.uniform(0, 2 * np.pi, 6)
+        shape = sum(
+            a * np.cos(k * np.radians(angle) + phase[k - 1])
+            for k, a in enumerate((0.040, 0.020, 0.008, 0.006, 0.005, 0.004), 1)
+        )
+        fit = rev.fit_harmonics(angle, shape + 0.001 * random.standard_normal(256), 6, 4.0)
+        assert fit is not None
+        assert fit.used.sum() >= 250, seed
+        worst = max(worst, abs(fit.mean) / fit.u_mean)
+    assert worst < 4.0
+
+
+def test_coverage_of_several_revolutions():
+    """Frames of later turns lie between, beside or upon those of the first."""
+    random = np.random.default_rng(0)
+    for turns in (1.0, 2.0, 2.1, 3.0):
+        angle = np.arange(round(128 * turns)) * 360.0 / 128
+        for noise in (0.0, 0.003, 0.5):
+            share, gap = rev.coverage(angle + noise * random.standard_normal(len(angle)))
+            assert share > 0.97
+            assert gap < 8
+            hole = np.mod(angle, 360.0)
+            share, gap = rev.coverage(angle[(hole < 100) | (hole > 190)])
+            assert share == pytest.approx(0.75, abs=0.03)
+            assert gap == pytest.approx(90, abs=6)
+
+
 def test_order_falls_with_gaps_and_frames():
     angle, values, _, _ = turn(np.random.default_rng(6))
     holed = values.copy()
@@ -334,16 +366,26 @@ def test_frame_offsets_with_weights_are_weighted_means():
     assert weighted == pytest.approx([(1 + 4 + 4) / 4])
 
 
-@pytest.mark.parametrize("length", [1.0, 3.0])
-def test_the_noise_of_rows_is_found_beside_a_run_out_along_the_same_line(length):
-    """Noise along a known line of sight, correlated over the rows, and run-out a hundred times as large along it."""
-    random, frames, rows, sigma = np.random.default_rng(3), 480, 300, 0.02
+@pytest.mark.parametrize(
+    ("frames", "length", "order", "runout_mm"),
+    [
+        (480, 1.0, 1, 2.0),
+        (480, 3.0, 1, 2.0),
+        (512, 3.0, 1, 0.5),
+        (250, 3.0, 1, 0.2),
+        (120, 3.0, 5, 0.012),
+        (100, 3.0, 1, 0.03),
+    ],
+)
+def test_the_noise_of_rows_is_found_beside_a_run_out_along_the_same_line(frames, length, order, runout_mm):
+    """Noise along a known line of sight, correlated over the rows, and run-out along it; whatever the frames divide into."""
+    random, rows, sigma = np.random.default_rng(3), 300, 0.02
     angle = np.radians(np.linspace(20, 140, rows))
     kernel = np.exp(-(np.linspace(-3, 3, 13) ** 2)) if length > 1 else np.ones(1)
     kernel /= np.sqrt((kernel**2).sum())
     white = random.standard_normal((frames, rows + len(kernel) - 1))
     noise = sigma * np.stack([np.convolve(line, kernel, "valid") for line in white])
-    along = noise + 2.0 * np.sin(2 * np.pi * np.arange(frames) / frames)[:, None]
+    along = noise + runout_mm * np.sin(order * 2 * np.pi * np.arange(frames) / frames)[:, None]
     lateral = np.arange(rows) * 0.2 + along * np.cos(angle)
     mean = rev.mean_meridian(lateral, 460 + along * np.sin(angle), np.ones(frames, bool))
     found = mean.row_noise()
@@ -353,6 +395,37 @@ def test_the_noise_of_rows_is_found_beside_a_run_out_along_the_same_line(length)
     assert np.abs(across).max() < 0.02 * np.median(size)
     true = (np.convolve(kernel, kernel) / (kernel**2).sum()).sum()
     assert found.length_rows == pytest.approx(true, rel=0.15)
+
+
+def test_views_share_the_frames_that_all_of_them_saw():
+    full = np.zeros((60, 20))
+    gap, sparse = full.copy(), full.copy()
+    gap[10:25] = np.nan
+    sparse[:, 4:] = np.nan  # a view of few rows saw all frames all the same
+    sparse[40] = np.nan
+    expected = np.ones(60, bool)
+    expected[10:25] = expected[40] = False
+    assert np.array_equal(rev.common_frames([full, gap, sparse]), expected)
+    lone = full.copy()
+    lone[5:] = np.nan
+    assert rev.common_frames([full, lone]).all(), "five frames are no turn: each view keeps its own"
+    assert rev.common_frames([full, full * np.nan]).all()
+
+
+@pytest.mark.parametrize("frames", [8, 12, 24])
+def test_the_jackknife_of_few_frames_leaves_out_single_ones(frames):
+    """Two groups of frames would know their own scatter to one degree of freedom."""
+    pulls = []
+    for seed in range(400):
+        random = np.random.default_rng(seed)
+        radial = 460 + 0.01 * random.standard_normal((frames, 3))
+        found = rev.mean_meridian(np.zeros_like(radial), radial, np.ones(frames, bool))
+        left = found.left_out_radial_mm
+        assert len(left) == frames
+        u = np.sqrt((frames - 1) / frames * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
+        pulls.append(((found.radial_mm - 460) / u)[0])
+    # Student's t of frames - 1 degrees of freedom: variance (n - 1) / (n - 3); clipping takes a little of the scatter.
+    assert np.mean(np.square(pulls)) == pytest.approx((frames - 1) / (frames - 3), rel=0.35)
 
 
 def test_rows_that_were_not_seen_have_no_noise_and_others_keep_their_order():

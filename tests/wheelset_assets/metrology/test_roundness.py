@@ -9,6 +9,7 @@ from wheelset_assets.metrology.roundness import (
     body_angle_deg,
     find_flats,
     level_db,
+    mean_direction_deg,
     peak_to_peak,
     spectrum,
 )
@@ -34,6 +35,29 @@ def test_a_noiseless_series_gives_its_orders_back():
     assert found.amplitude[others].max() < 1e-12
     assert peak_to_peak(found, 1, 6).value == pytest.approx(np.ptp(wave(TURN, terms[:2])), abs=1e-5)
     assert peak_to_peak(found, 2).value == pytest.approx(np.ptp(wave(TURN, terms[1:])), abs=1e-5)
+
+
+@pytest.mark.parametrize("gap_deg", [0, 60, 75, 90, 99])
+def test_the_mean_over_a_gap_knows_what_the_orders_that_it_lost_do_to_it_two_sided(gap_deg):
+    """Wheels of orders 1 to 4; a gap of 90 degrees leaves two orders, and what the others put into the mean is no noise."""
+    angle, noise, pulls = np.arange(120) * 3.0, 0.002, []
+    for seed in range(150):
+        random = np.random.default_rng(seed)
+        values = noise * random.standard_normal(120)
+        for order, size in enumerate((0.020, 0.012, 0.006, 0.003), 1):
+            values += size * random.uniform(0.3, 1.5) * np.cos(order * np.radians(angle) + random.uniform(0, 2 * np.pi))
+        found = spectrum(angle, values, angle >= gap_deg, 30, noise)
+        assert found is not None
+        pulls.append(found.mean / found.u_mean)
+    assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.35
+    assert np.mean(np.abs(pulls) < 2) > 0.86
+
+
+def test_the_mean_of_directions_goes_round():
+    assert mean_direction_deg([359.0, 1.0]) == pytest.approx(0.0, abs=1e-9)
+    assert abs(mean_direction_deg([179.9, -179.9])) == pytest.approx(180.0)
+    assert mean_direction_deg([80.0, np.nan, 100.0]) == pytest.approx(90.0)
+    assert np.isnan(mean_direction_deg([]))
 
 
 def test_the_order_falls_with_frames_and_gaps():
