@@ -12,6 +12,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+RUN_TAG = "wheelset/run"
+"""Tag of the runs that the command line makes, with the run's own identifier."""
+
+
+def close_dead(instance: Any, alive: str = "") -> None:
+    """Put an end to runs of the command line that were killed: by themselves they would be under way for ever, and hold up
+    whatever waits for a place. Only for whoever knows that none lives but `alive`: because the warehouse's lock is free, or
+    its own.
+    """
+    import dagster as dg
+
+    status = dg.DagsterRunStatus
+    under_way = [status.NOT_STARTED, status.STARTING, status.STARTED, status.CANCELING]
+    for run in instance.get_runs(filters=dg.RunsFilter(statuses=under_way)):
+        if run.tags.get(RUN_TAG, alive) != alive:
+            instance.report_run_failed(run, "its process was killed; the next run goes on from what it had finished")
+
 
 @contextmanager
 def kept_open() -> Iterator[None]:

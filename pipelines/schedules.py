@@ -3,8 +3,10 @@
 import dagster as dg
 
 from pipelines.assets import DAYS_NAME
+from pipelines.history import close_dead
 from pipelines.settings import settings
 from warehouse.lineage import UNDATED
+from warehouse.lock import WarehouseLock
 from warehouse.planner import Plan, plan
 
 night_job = dg.define_asset_job(
@@ -29,6 +31,8 @@ def requests(found: Plan, instance: dg.DagsterInstance, tag: str) -> list[dg.Run
 def nightly(context):
     """Every night: whatever is new or stale, and nothing else."""
     s = settings()
+    if not WarehouseLock(s.warehouse).taken():
+        close_dead(context.instance)
     found = plan(s.warehouse, s.inbox, s.config)
     if found.idle:
         return dg.SkipReason("nothing is new or stale")

@@ -19,6 +19,9 @@ nux:
 concurrency:
   runs:
     max_concurrent_runs: 1
+# A run that the daemon launched and that died must not keep the place of the next.
+run_monitoring:
+  enabled: true
 # No capture of what steps print: it costs two processes a step, and the steps print nothing but progress.
 compute_logs:
   module: dagster._core.storage.noop_compute_log_manager

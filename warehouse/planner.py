@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
@@ -49,6 +50,8 @@ class Plan:
     n_scans: int
     estimated_seconds: float | None
     reviews_changed: bool = False
+    fingerprint: str = ""
+    """Changes with what is to be done: also if the same bundle came anew, in other bytes, or the same stage is stale for another reason."""
 
     @property
     def idle(self) -> bool:
@@ -74,14 +77,18 @@ def plan(root: Path, inbox: Path, config: Config, only: frozenset[str] = frozens
     state = State(Inbox(inbox), Ledger(root), config)
     days: dict[str, DayPlan] = defaultdict(lambda: DayPlan(""))
     calibrations = set()
+    asked: list[str] = []
     for kind, entry in state.unknown_bundles():
+        asked.append(f"{kind} {entry.identifier} {entry.signature}")
         if kind == "calibration":
             calibrations.add(entry.identifier)
         elif not only or entry.identifier in only:
             day = _day_of(entry)
             days[day].day = day
             days[day].new.append(entry.identifier)
-    calibrations |= {name for name, _, _ in state.stale_calibrations()}
+    for name, wanted, _ in state.stale_calibrations():
+        calibrations.add(name)
+        asked.append(f"calibration {name} {wanted}")
     state.keep_former(state.former)  # what a changed reference brings is known once it is verified
     state.arrange()
     for day in state.days():
@@ -89,18 +96,23 @@ def plan(root: Path, inbox: Path, config: Config, only: frozenset[str] = frozens
         for stage, found in state.stale_units(units).items():
             for unit in found:
                 days[day].add(day, stage, unit.key, _why(state, stage, unit))
+                need, wanted_print = state.stale(next(s for s in SCAN_STAGES if s.name == stage), unit)
+                asked.append(f"{stage} {unit.key} {wanted_print or need.failed}")
         state.ledger.release()
         listed = {key for keys in days[day].stale.values() for key in keys}
         for unit in units:
             if unit.calibration_id in calibrations and unit.key not in listed:
                 why = f"calibration {unit.calibration_id} is new or stale"
                 days[day].add(day, SCAN_STAGES[0].name, unit.key, why)
+    files = state.inbox.reviews()
+    asked.append(f"reviews {reviews.reviews_fingerprint(files)}")
     result = Plan(
         sorted((d for d in days.values() if d.n_scans), key=lambda d: d.day),
         sorted(calibrations),
         len(state.present),
         None,
-        reviews.reviews_changed(root, state.inbox.reviews()),
+        reviews.reviews_changed(root, files),
+        hashlib.sha256("\n".join(sorted(asked)).encode()).hexdigest()[:16],
     )
     result.estimated_seconds = _estimate(state, result)
     return result

@@ -19,6 +19,7 @@ from small_campaign import Campaign
 
 from pipelines.assets import DAYS_NAME, build_assets
 from pipelines.definitions import defs
+from pipelines.history import RUN_TAG
 from pipelines.schedules import nightly
 from pipelines.sensors import inbox_sensor
 from warehouse.lock import WarehouseLock
@@ -138,7 +139,54 @@ def test_exactly_the_days_with_work_are_asked_for(copy: Campaign, monkeypatch: p
         days, keys, cursor, _ = sensed(instance, None)
         assert days == DAYS
         assert len(set(keys)) == 2
-        assert sensed(instance, cursor)[::3] == ([], "what is new or stale has been asked for already")
+        for _ in range(2):  # whatever was launched has died: it is asked for again, under other keys, but not for ever
+            days, again, cursor, _ = sensed(instance, cursor)
+            assert days == DAYS
+            assert not set(keys) & set(again)
+        assert "asked for 3 times already" in str(sensed(instance, cursor)[3])
+
+
+def test_what_was_asked_for_is_waited_for(copy: Campaign) -> None:
+    os.utime(copy.inbox / "scans" / "ref-20250406" / "frames.parquet", ns=(1, 1))
+    with dg.DagsterInstance.local_temp() as instance:
+        run = dg.DagsterRun("night", status=dg.DagsterRunStatus.STARTING)
+        instance.add_run(run)
+        assert "have not ended yet" in str(sensed(instance, None)[3])
+        instance.delete_run(run.run_id)
+        assert sensed(instance, None)[0] == ["2025-04-06"]
+
+
+def test_a_bundle_that_came_anew_during_the_run_is_asked_for(copy: Campaign) -> None:
+    """Its name and its day are the same as before: what counts is that it is another bundle."""
+    frames = copy.inbox / "scans" / "ref-20250406" / "frames.parquet"
+    with dg.DagsterInstance.local_temp() as instance:
+        os.utime(frames, ns=(1, 1))
+        _, first, cursor, _ = sensed(instance, None)
+        for _ in range(2):
+            cursor = sensed(instance, cursor)[2]
+        assert sensed(instance, cursor)[0] == []
+        os.utime(frames, ns=(2, 2))
+        days, second, _, _ = sensed(instance, cursor)
+        assert days == ["2025-04-06"]
+        assert not set(first) & set(second)
+
+
+def test_a_run_of_the_command_line_that_was_killed_is_closed(copy: Campaign) -> None:
+    """By whoever next holds the lock, or finds it free; or it would be under way for ever and keep all others waiting."""
+    os.utime(copy.inbox / "scans" / "ref-20250406" / "frames.parquet", ns=(1, 1))
+    with dg.DagsterInstance.local_temp() as instance:
+        dead = dg.DagsterRun("__ephemeral_asset_job__", status=dg.DagsterRunStatus.STARTED, tags={RUN_TAG: "gone"})
+        others = dg.DagsterRun("somebody", status=dg.DagsterRunStatus.STARTED)
+        for run in (dead, others):
+            instance.add_run(run)
+        lock = WarehouseLock(copy.warehouse)
+        lock.acquire()
+        sensed(instance, None)
+        assert instance.get_run_by_id(dead.run_id).status == dg.DagsterRunStatus.STARTED  # type: ignore[union-attr]
+        lock.release()
+        assert sensed(instance, None)[0] == ["2025-04-06"]
+        assert instance.get_run_by_id(dead.run_id).status == dg.DagsterRunStatus.FAILURE  # type: ignore[union-attr]
+        assert instance.get_run_by_id(others.run_id).status == dg.DagsterRunStatus.STARTED  # type: ignore[union-attr]
 
 
 def test_equal_work_weeks_apart_is_asked_for_again(
