@@ -1,6 +1,7 @@
 """`python -m benchmarks.kills`: runs killed at random moments, each followed by a resume, and the warehouse that comes of it.
 
-A kill is SIGKILL to the whole process group, driver and workers. After each, what is visible is verified against its
+A kill is SIGKILL to the whole process group, driver and workers; every third to the driver alone, and then the workers must
+end by themselves. After each, what is visible is verified against its
 recorded hashes; then the same command runs again, with the next kill at a random moment of it. When a campaign is done, its
 warehouse must equal that of a run that nobody disturbed (equal data files, equal lineage without times, durations and run
 identifiers), and a new campaign begins, until so many kills have been made.
@@ -85,13 +86,16 @@ def finish(process: subprocess.Popen) -> None:
         raise RuntimeError(f"the run ended with {process.returncode}:\n{errors.decode(errors='replace')[-3000:]}")
 
 
-def killed(process: subprocess.Popen, after_seconds: float) -> bool:
-    """Kill a run and all its workers after a time; False if it was done before."""
+ORPHANS_END_SECONDS = 60.0
+
+
+def killed(process: subprocess.Popen, after_seconds: float, alone: bool) -> bool:
+    """Kill a run after a time, its driver alone or all its workers too; False if it was done before."""
     try:
         process.wait(after_seconds)
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        (os.kill if alone else os.killpg)(process.pid, signal.SIGKILL)
+        process.communicate(timeout=ORPHANS_END_SECONDS)  # until nobody holds the pipe any more
         return True
     finish(process)
     return False
@@ -105,7 +109,8 @@ def campaign(chosen: argparse.Namespace, places: dict[str, Path], moments: rando
     while True:
         process = start(places["inbox"], places["disturbed"], places["recorded"], chosen.plain)
         if tally.kills < chosen.kills:
-            if not killed(process, moments.uniform(0.0, 1.1 * tally.undisturbed_seconds)):
+            after_seconds = moments.uniform(0.0, 1.1 * tally.undisturbed_seconds)
+            if not killed(process, after_seconds, alone=tally.kills % 3 == 2):
                 break
             tally.kills += 1
             if (places["disturbed"] / "_ledger").is_dir():

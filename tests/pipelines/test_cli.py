@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -169,8 +170,6 @@ def test_until_that_is_no_time(wheelset: Caller, places: Campaign, text: str) ->
 
 
 def test_until_that_has_passed_today_is_tomorrow() -> None:
-    from datetime import datetime, timedelta
-
     now = datetime.now().astimezone()
     for minutes in (-2, 2):
         then = now + timedelta(minutes=minutes)
@@ -180,6 +179,26 @@ def test_until_that_has_passed_today_is_tomorrow() -> None:
 
 
 # --- run, status -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="the time zone of a process cannot be set here")
+@pytest.mark.parametrize("evening", ["2025-03-29T22:00:00+01:00", "2025-10-25T22:00:00+02:00"])
+def test_until_is_the_clock_on_the_wall_also_if_it_is_put_forward_or_back(
+    monkeypatch: pytest.MonkeyPatch, evening: str
+) -> None:
+    class Clock(datetime):
+        @classmethod
+        def now(cls, tz=None):  # type: ignore[no-untyped-def,override]
+            return cls.fromtimestamp(datetime.fromisoformat(evening).timestamp(), tz)
+
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "Europe/Berlin")
+        time.tzset()
+        patch.setattr(cli, "datetime", Clock)
+        moment = cli._moment("05:30")
+        assert moment is not None
+        assert datetime.fromtimestamp(moment.timestamp()).strftime("%H:%M") == "05:30"
+    time.tzset()
 
 
 def test_run_counts_and_exit_codes(wheelset: Caller, campaign: Campaign, tmp_path: Path) -> None:

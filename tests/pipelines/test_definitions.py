@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -22,7 +23,9 @@ from pipelines.definitions import defs
 from pipelines.history import RUN_TAG
 from pipelines.schedules import nightly
 from pipelines.sensors import inbox_sensor
+from warehouse.bounds import DiskFull
 from warehouse.lock import WarehouseLock
+from warehouse.night import Night
 from warehouse.planner import DayPlan, Plan
 from wheelset_assets.config import Config
 from wheelset_assets.quality import flag_names
@@ -292,6 +295,31 @@ def test_a_day_made_by_dagster_is_the_day_made_by_the_command_line(
     with dg.DagsterInstance.from_config(str(home)) as instance:
         assert data_versions(instance, day) == made
     assert len(set(made.values())) == len(made)
+
+
+@pytest.mark.parametrize("where", ["prepare", "run_stage"])
+def test_a_run_of_dagster_that_an_error_ends_says_so_in_the_morning(
+    copy: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """Dagster ends its resources in good order also after a failed step."""
+
+    def full(*_: Any) -> None:
+        raise DiskFull("no room")
+
+    os.utime(copy.inbox / "scans" / "ref-20250406" / "frames.parquet", ns=(1, 1))
+    sent = tmp_path / "sent.json"
+    script = f"import sys; open({str(sent)!r}, 'w').write(sys.stdin.read())"
+    monkeypatch.setenv("WHEELSET_NOTIFY", shlex.join([sys.executable, "-c", script]))
+    monkeypatch.setattr(Night, where, full)
+    quiet = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
+    with dg.DagsterInstance.ephemeral() as instance:
+        instance.add_dynamic_partitions(DAYS_NAME, [DAYS[1]])
+        result = defs.resolve_job_def("night").execute_in_process(
+            partition_key=DAYS[1], instance=instance, run_config=quiet, raise_on_error=False
+        )
+    assert not result.success
+    told = json.loads(sent.read_text())
+    assert (told["outcome"], told["error"]) == ("stopped", "DiskFull: no room")
 
 
 def test_dagster_shows_the_figures_of_a_partition(campaign: Campaign) -> None:
