@@ -10,23 +10,34 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 RUN_TAG = "wheelset/run"
 """Tag of the runs that the command line makes, with the run's own identifier."""
 
 
-def close_dead(instance: Any, alive: str = "") -> None:
-    """Put an end to runs of the command line that were killed: by themselves they would be under way for ever, and hold up
-    whatever waits for a place. Only for whoever knows that none lives but `alive`: because the warehouse's lock is free, or
-    its own.
+WAREHOUSE_TAG = "wheelset/warehouse"
+"""And with the place of what it writes to: several warehouses may share one store."""
+
+
+def run_tags(warehouse: Path, run_id: str) -> dict[str, str]:
+    """Tags of a run of the command line."""
+    return {RUN_TAG: run_id, WAREHOUSE_TAG: str(warehouse.resolve())}
+
+
+def close_dead(instance: Any, warehouse: Path, alive: str = "") -> None:
+    """Put an end to runs of the command line on this warehouse that were killed: by themselves they would be under way for
+    ever, and hold up whatever waits for a place. Only for whoever knows that none lives but `alive`: because the warehouse's
+    lock is free, or its own.
     """
     import dagster as dg
 
     status = dg.DagsterRunStatus
     under_way = [status.NOT_STARTED, status.STARTING, status.STARTED, status.CANCELING]
-    for run in instance.get_runs(filters=dg.RunsFilter(statuses=under_way)):
-        if run.tags.get(RUN_TAG, alive) != alive:
+    own = {WAREHOUSE_TAG: str(warehouse.resolve())}
+    for run in instance.get_runs(filters=dg.RunsFilter(statuses=under_way, tags=own)):
+        if run.tags.get(RUN_TAG) != alive:
             instance.report_run_failed(run, "its process was killed; the next run goes on from what it had finished")
 
 

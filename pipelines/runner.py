@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable
 
 from pipelines.finish import finish, started, stopped
-from pipelines.history import RUN_TAG, close_dead, kept_open
+from pipelines.history import close_dead, kept_open, run_tags
 from pipelines.settings import Settings, dagster_home
 from warehouse.night import Night, Progress, no_progress
 from warehouse.summary import Summary
@@ -79,7 +79,7 @@ def _materialiser(s: Settings, night: Night) -> Callable:
     assets = build_assets(s.config)
     with kept_open():
         instance = dg.DagsterInstance.get()
-        close_dead(instance, night.run_id)
+        close_dead(instance, s.warehouse, night.run_id)
     resources = {"night": dg.ResourceDefinition.hardcoded_resource(night)}
 
     def materialise(names: list[str] | None, day: str | None) -> None:
@@ -96,7 +96,7 @@ def _materialiser(s: Settings, night: Night) -> Callable:
                     instance=instance,
                     resources=resources,
                     run_config=QUIET,
-                    tags={RUN_TAG: night.run_id},
+                    tags=run_tags(s.warehouse, night.run_id),
                 )
         except DagsterExecutionInterruptedError:  # its own name for Ctrl-C, which it has taken over meanwhile
             raise KeyboardInterrupt from None

@@ -32,7 +32,7 @@ def nightly(context):
     """Every night: whatever is new or stale, and nothing else."""
     s = settings()
     if not WarehouseLock(s.warehouse).taken():
-        close_dead(context.instance)
+        close_dead(context.instance, s.warehouse)
     found = plan(s.warehouse, s.inbox, s.config)
     if found.idle:
         return dg.SkipReason("nothing is new or stale")

@@ -22,7 +22,7 @@ def inbox_sensor(context):
     s = settings()
     if WarehouseLock(s.warehouse).taken():
         return dg.SkipReason("a run is under way; what it leaves is asked for after it")
-    close_dead(context.instance)
+    close_dead(context.instance, s.warehouse)
     if context.instance.get_runs(filters=dg.RunsFilter(job_name=night_job.name, statuses=WAITING), limit=1):
         return dg.SkipReason("runs that were asked for have not ended yet")
     number, asked, times = [*(context.cursor or "0").split(":"), "", "0"][:3]

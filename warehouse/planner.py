@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from warehouse import reviews
-from warehouse.execute import stage_config
+from warehouse.execute import STAGE_BY_NAME, stage_config
 from warehouse.inbox import Entry, Inbox, read_json_text
 from warehouse.lineage import UNDATED, Ledger
 from warehouse.state import State
@@ -96,7 +96,7 @@ def plan(root: Path, inbox: Path, config: Config, only: frozenset[str] = frozens
         for stage, found in state.stale_units(units).items():
             for unit in found:
                 days[day].add(day, stage, unit.key, _why(state, stage, unit))
-                need, wanted_print = state.stale(next(s for s in SCAN_STAGES if s.name == stage), unit)
+                need, wanted_print = state.stale(STAGE_BY_NAME[stage], unit)
                 asked.append(f"{stage} {unit.key} {wanted_print or need.failed}")
         state.ledger.release()
         listed = {key for keys in days[day].stale.values() for key in keys}
@@ -128,7 +128,7 @@ def _day_of(entry: Entry) -> str:
 
 
 def _why(state: State, stage_name: str, unit: Any) -> str:
-    stage = next(s for s in SCAN_STAGES if s.name == stage_name)
+    stage = STAGE_BY_NAME[stage_name]
     record = state.ledger.day(unit.day).get(unit.key, stage_name)
     if record is None:
         return f"{stage_name}: not made yet"

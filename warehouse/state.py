@@ -120,15 +120,15 @@ class State:
                 )
         present = {entry.identifier: entry for entry in self.inbox.scans()}
         self.present = list(present)
-        filed: dict[str, str] = {}
+        filed: set[str] = set()
         twice: set[str] = set()
         known: set[str] = set()
-        for day, last in self.ledger.records_of(BUNDLE):
+        for _, last in self.ledger.records_of(BUNDLE):
             if last.unit in filed:
                 twice.add(last.unit)
             elif self._take_known(last, present.get(last.unit)):
                 known.add(last.unit)
-            filed.setdefault(last.unit, day)
+            filed.add(last.unit)
         for name in sorted(twice):
             known.discard(name)
             if self._take_known(self._filed_once(name, present.get(name)), present.get(name)):

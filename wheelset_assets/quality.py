@@ -12,7 +12,7 @@ class WheelsetError(Exception):
 class ScanUnusable(WheelsetError):
     """The bundle itself cannot be used: scan again, or mend the file that the message names.
 
-    `may_pass`: the cause may go without a change of its files (permissions, a worker that died): it is looked at every night.
+    `may_pass`: the cause may go without a change of its files (permissions): it is looked at every night.
     """
 
     may_pass: bool = False

@@ -20,7 +20,7 @@ from small_campaign import Campaign
 
 from pipelines.assets import DAYS_NAME, build_assets
 from pipelines.definitions import defs
-from pipelines.history import RUN_TAG
+from pipelines.history import run_tags
 from pipelines.schedules import nightly
 from pipelines.sensors import inbox_sensor
 from warehouse.bounds import DiskFull
@@ -178,9 +178,14 @@ def test_a_run_of_the_command_line_that_was_killed_is_closed(copy: Campaign) -> 
     """By whoever next holds the lock, or finds it free; or it would be under way for ever and keep all others waiting."""
     os.utime(copy.inbox / "scans" / "ref-20250406" / "frames.parquet", ns=(1, 1))
     with dg.DagsterInstance.local_temp() as instance:
-        dead = dg.DagsterRun("__ephemeral_asset_job__", status=dg.DagsterRunStatus.STARTED, tags={RUN_TAG: "gone"})
+        dead = dg.DagsterRun(
+            "__ephemeral_asset_job__", status=dg.DagsterRunStatus.STARTED, tags=run_tags(copy.warehouse, "gone")
+        )
         others = dg.DagsterRun("somebody", status=dg.DagsterRunStatus.STARTED)
-        for run in (dead, others):
+        elsewhere = dg.DagsterRun(
+            "x", status=dg.DagsterRunStatus.STARTED, tags=run_tags(copy.warehouse.parent / "other", "lives")
+        )
+        for run in (dead, others, elsewhere):
             instance.add_run(run)
         lock = WarehouseLock(copy.warehouse)
         lock.acquire()
@@ -189,7 +194,8 @@ def test_a_run_of_the_command_line_that_was_killed_is_closed(copy: Campaign) -> 
         lock.release()
         assert sensed(instance, None)[0] == ["2025-04-06"]
         assert instance.get_run_by_id(dead.run_id).status == dg.DagsterRunStatus.FAILURE  # type: ignore[union-attr]
-        assert instance.get_run_by_id(others.run_id).status == dg.DagsterRunStatus.STARTED  # type: ignore[union-attr]
+        for run in (others, elsewhere):
+            assert instance.get_run_by_id(run.run_id).status == dg.DagsterRunStatus.STARTED  # type: ignore[union-attr]
 
 
 def test_equal_work_weeks_apart_is_asked_for_again(

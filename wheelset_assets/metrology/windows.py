@@ -142,8 +142,8 @@ def bilateral(values: Array, half: int, sigma_rows: float, range_mm: float, corr
 
     A slope has pairs that agree, whatever its steepness; an edge or a curve has not. The noise factor is that of the
     weights as given, times one for the whole grid: how much more the derivatives of the smoothed value by all that enter
-    it let through, as the weights depend on the noise as well. That is no less than the noise left (Gaussian Poincare
-    inequality), and close to it where the noise is below range_mm.
+    it let through, as the weights depend on the noise as well. On average that is no less than the noise left (Gaussian
+    Poincare inequality), and close to it up to a noise of range_mm; no point claims more than its own noise.
     """
     # Covariance of the weighted values, by how far they lie from the point: both sides of both.
     order = np.arange(half + 1)
