@@ -104,14 +104,14 @@ def plan(root: Path, inbox: Path, config: Config, only: frozenset[str] = frozens
             if unit.calibration_id in calibrations and unit.key not in listed:
                 why = f"calibration {unit.calibration_id} is new or stale"
                 days[day].add(day, SCAN_STAGES[0].name, unit.key, why)
-    files = state.inbox.reviews()
-    asked.append(f"reviews {reviews.reviews_fingerprint(files)}")
+    reviewed = reviews.reviews_fingerprint(state.inbox.reviews())
+    asked.append(f"reviews {reviewed}")
     result = Plan(
         sorted((d for d in days.values() if d.n_scans), key=lambda d: d.day),
         sorted(calibrations),
         len(state.present),
         None,
-        reviews.reviews_changed(root, files),
+        reviewed != reviews.known_fingerprint(root),
         hashlib.sha256("\n".join(sorted(asked)).encode()).hexdigest()[:16],
     )
     result.estimated_seconds = _estimate(state, result)

@@ -48,13 +48,11 @@ def reviews_fingerprint(reviews: list[Path]) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
-def reviews_changed(root: Path, reviews: list[Path]) -> bool:
-    """Whether the review files are others than those that the last run saw."""
+def known_fingerprint(root: Path) -> str:
+    """Fingerprint of the review files that the last run saw."""
     path = root / "_catalog" / "reviews.json"
-    known = (
-        json.loads(path.read_text(encoding="utf-8")).get("fingerprint") if path.exists() else reviews_fingerprint([])
-    )
-    return bool(known != reviews_fingerprint(reviews))
+    stored = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return str(stored.get("fingerprint")) if stored else reviews_fingerprint([])
 
 
 def store_reviews(root: Path, reviews: list[Path]) -> None:
